@@ -20,6 +20,8 @@ pub enum Choice {
     OpenCl,
     /// Device `D` of platform `P`.
     OpenClAt(usize, usize),
+    /// All GPUs, or all OpenCL devices where there is no GPU, for images that are shared among them.
+    All,
 }
 
 impl FromStr for Choice {
@@ -30,6 +32,7 @@ impl FromStr for Choice {
             "auto" => return Ok(Choice::Auto),
             "cpu" => return Ok(Choice::Cpu),
             "opencl" => return Ok(Choice::OpenCl),
+            "all" => return Ok(Choice::All),
             _ => {}
         }
         let address = text.strip_prefix("opencl:").and_then(|rest| rest.split_once(':'));
@@ -38,7 +41,7 @@ impl FromStr for Choice {
         {
             return Ok(Choice::OpenClAt(platform, device));
         }
-        Err(Error::Value(format!("device `{text}` is unknown: auto, cpu, opencl or opencl:P:D is accepted")))
+        Err(Error::Value(format!("device `{text}` is unknown: auto, cpu, all, opencl or opencl:P:D is accepted")))
     }
 }
 
@@ -46,7 +49,7 @@ impl Choice {
     /// The OpenCL device that this choice selects on this machine; `None` is the CPU chain.
     ///
     /// # Errors
-    /// [`Error::Device`] where an OpenCL device is required and there is no such device.
+    /// [`Error::Device`] where an OpenCL device is required and there is no such device; [`Error::Value`] for `all`.
     pub fn resolve(self) -> Result<Option<DeviceInfo>> {
         match self {
             Choice::Cpu => Ok(None),
@@ -57,13 +60,35 @@ impl Choice {
                 let addresses: Vec<String> = present.iter().map(DeviceInfo::address).collect();
                 pick(self, present).map(Some).ok_or_else(|| no_such_device(self, &addresses))
             }
+            Choice::All => Err(Error::Value(
+                "device `all` shares the images of a modal estimate; a session, a retrieval of wavefronts (full-phase) or a benchmark runs \
+                 on one device: auto, cpu, opencl or opencl:P:D is accepted"
+                    .into(),
+            )),
         }
     }
 }
 
+/// The devices that [`Choice::All`] selects on this machine, by rank.
+///
+/// # Errors
+/// [`Error::Device`] where there is no OpenCL device.
+pub fn all_devices() -> Result<Vec<DeviceInfo>> {
+    let found = all(devices()?);
+    if found.is_empty() { Err(no_such_device(Choice::All, &[])) } else { Ok(found) }
+}
+
+/// The devices of the best kind that is there, in the order of [`pick`].
+fn all(mut present: Vec<DeviceInfo>) -> Vec<DeviceInfo> {
+    let has_gpu = present.iter().any(|d| d.kind == DeviceKind::Gpu);
+    present.retain(|d| !has_gpu || d.kind == DeviceKind::Gpu);
+    present.sort_by_key(|d| std::cmp::Reverse(d.compute_units));
+    present
+}
+
 fn pick(choice: Choice, mut present: Vec<DeviceInfo>) -> Option<DeviceInfo> {
     match choice {
-        Choice::Cpu => return None,
+        Choice::Cpu | Choice::All => return None,
         Choice::Auto => present.retain(|d| d.kind == DeviceKind::Gpu),
         Choice::OpenCl => {}
         Choice::OpenClAt(platform, device) => present.retain(|d| (d.platform, d.device) == (platform, device)),
@@ -110,6 +135,7 @@ mod tests {
         assert_eq!("auto".parse::<Choice>().unwrap(), Choice::Auto);
         assert_eq!("cpu".parse::<Choice>().unwrap(), Choice::Cpu);
         assert_eq!("opencl".parse::<Choice>().unwrap(), Choice::OpenCl);
+        assert_eq!("all".parse::<Choice>().unwrap(), Choice::All);
         assert_eq!("opencl:1:2".parse::<Choice>().unwrap(), Choice::OpenClAt(1, 2));
         for bad in ["", "gpu", "opencl:", "opencl:1", "opencl:a:b", "opencl:1:-2"] {
             let message = bad.parse::<Choice>().unwrap_err().to_string();
@@ -126,6 +152,10 @@ mod tests {
         assert_eq!(pick(Choice::OpenClAt(3, 0), here.clone()), None);
         assert_eq!(pick(Choice::Auto, here[..1].to_vec()), None);
         assert_eq!(pick(Choice::OpenCl, here[..1].to_vec()).unwrap().platform, 0);
+        // `all`: no CPU beside GPUs, and the largest first.
+        let larger = DeviceInfo { compute_units: 16, ..here[2].clone() };
+        assert_eq!(all([&here[..2], std::slice::from_ref(&larger)].concat()), [larger, here[1].clone()]);
+        assert_eq!(all(here[..1].to_vec()), here[..1]);
     }
 
     #[test]

@@ -35,7 +35,7 @@ mod table;
 #[cfg(all(test, feature = "opencl"))]
 pub(crate) mod tests;
 
-pub use choice::Choice;
+pub use choice::{Choice, all_devices};
 pub use info::{DeviceInfo, DeviceKind, advice};
 pub use peak::Peak;
 pub use precision::Precision;

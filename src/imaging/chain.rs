@@ -2,11 +2,12 @@
 
 use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
+use super::device_group::DeviceGroup;
 use super::gpu::{GpuChain, GpuColour, GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use super::pixels::pixel_terms;
 use super::work::Shapes;
-use crate::device::Device;
+use crate::device::{Device, all_devices};
 use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::Arc;
@@ -32,6 +33,8 @@ pub enum Chain {
     },
     /// A device selected by `auto`, replaced by the CPU if it fails.
     Auto(Fallback),
+    /// Several devices, for images that are shared among them.
+    Several(DeviceGroup<Chain>),
 }
 
 impl Chain {
@@ -50,6 +53,25 @@ impl Chain {
     /// [`crate::Error::Device`] where an OpenCL device is required and there is none, or it cannot run this model.
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
         Self::open_as(optics, choice, precision, capacity, false)
+    }
+
+    /// As [`Chain::open`], for images that do not depend on each other: with `all` they are shared among several devices, no more than
+    /// there are images. A device that cannot run the model is left out, and [`Chain::failure`] says so.
+    ///
+    /// # Errors
+    /// As [`Chain::open`].
+    pub fn open_shared(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
+        if choice != Choice::All {
+            return Self::open(optics, choice, precision, capacity);
+        }
+        let (mut chains, mut left_out) = (Vec::new(), Vec::new());
+        for info in all_devices()?.into_iter().take(capacity.max(1)) {
+            match Self::open(optics.clone(), Choice::OpenClAt(info.platform, info.device), precision, capacity) {
+                Ok(chain) => chains.push((chain.device_name(), chain)),
+                Err(error) => left_out.push(format!("{} ({}): {error}", info.address(), info.name.trim())),
+            }
+        }
+        DeviceGroup::new(chains, &left_out).map(Self::Several)
     }
 
     /// As [`Chain::open`], for [`Chain::evaluate_free`] too.
@@ -91,6 +113,7 @@ impl Chain {
             Self::Cpu64(chain) => chain.load(exposures),
             Self::Cpu32(chain) => chain.load(exposures),
             Self::Auto(chain) => chain.load(exposures),
+            Self::Several(group) => group.first_mut().load(exposures),
             Self::Device { chain, optics, .. } => {
                 exposures.iter().try_for_each(|exposure| exposure.check(optics.sampling().pixels))?;
                 let data: Vec<f64> = exposures.iter().flat_map(|exposure| exposure.data_e.iter().copied()).collect();
@@ -125,6 +148,7 @@ impl Chain {
             Self::Cpu64(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
             Self::Cpu32(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
             Self::Auto(chain) => chain.replace_all(exposures),
+            Self::Several(group) => group.first_mut().replace_all(exposures),
         }
     }
 
@@ -137,6 +161,7 @@ impl Chain {
             Self::Cpu64(chain) => chain.evaluate(images, coefficients_nm),
             Self::Cpu32(chain) => chain.evaluate(images, coefficients_nm),
             Self::Auto(chain) => chain.evaluate(images, coefficients_nm),
+            Self::Several(group) => group.first_mut().evaluate(images, coefficients_nm),
             Self::Device { chain, .. } => {
                 let coefficients: Vec<f64> = coefficients_nm.iter().copied().collect();
                 Ok(by_image(chain.evaluate(images, &coefficients)?, chain.modes()))
@@ -160,6 +185,7 @@ impl Chain {
             Self::Cpu64(chain) => chain.evaluate_free_all(images, coefficients_nm, free, slopes),
             Self::Cpu32(chain) => chain.evaluate_free_all(images, coefficients_nm, free, slopes),
             Self::Auto(chain) => chain.evaluate_free(images, coefficients_nm, free, slopes),
+            Self::Several(group) => group.first_mut().evaluate_free(images, coefficients_nm, free, slopes),
             Self::Device { chain, .. } => {
                 let coefficients: Vec<f64> = coefficients_nm.iter().copied().collect();
                 Ok(by_image(chain.evaluate_free(images, &coefficients, free, slopes)?, chain.modes()))
@@ -174,6 +200,7 @@ impl Chain {
             Self::Cpu32(chain) => Shapes::new(chain.optics(), chain.fft_points()),
             Self::Device { chain, optics, .. } => Shapes::new(optics, chain.fft_points()),
             Self::Auto(fallback) => fallback.chain().shapes(),
+            Self::Several(group) => group.first().shapes(),
         }
     }
 
@@ -184,6 +211,7 @@ impl Chain {
             Self::Cpu32(_) => Precision::F32,
             Self::Device { precision, .. } => *precision,
             Self::Auto(fallback) => fallback.chain().precision(),
+            Self::Several(group) => group.first().precision(),
         }
     }
 
@@ -193,12 +221,18 @@ impl Chain {
             Self::Cpu64(_) | Self::Cpu32(_) => "cpu".into(),
             Self::Device { name, .. } => name.clone(),
             Self::Auto(fallback) => fallback.chain().device_name(),
+            Self::Several(group) => group.names(),
         }
     }
 
-    /// Why the device selected by `auto` was replaced, as a sentence; `None` if it was not.
+    /// Why the device selected by `auto` was replaced, or which of several devices are not used, as a sentence; `None` if all is as
+    /// selected.
     pub fn failure(&self) -> Option<&str> {
-        if let Self::Auto(fallback) = self { fallback.failure() } else { None }
+        match self {
+            Self::Auto(fallback) => fallback.failure(),
+            Self::Several(group) => group.failure(),
+            _ => None,
+        }
     }
 
     /// The chain that computes: the CPU chain if it has replaced a failed device, otherwise this one.

@@ -11,6 +11,7 @@
 mod chain;
 mod cpu;
 mod detector;
+mod device_group;
 mod field;
 pub mod gpu;
 mod linear;
@@ -25,6 +26,7 @@ pub use crate::fourier::{Real, Sampling, Transform};
 pub use chain::{Chain, Choice, Fallback, Precision};
 pub use cpu::{CpuChain, FlatWavefront, Scratch};
 pub use detector::{Evaluation, Exposure, LoadedImage, Photometry};
+pub use device_group::{DeviceGroup, GroupMember};
 pub use linear::LinearModel;
 pub use optics::{Colour, Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;

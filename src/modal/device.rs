@@ -9,6 +9,7 @@ impl From<scene::DeviceChoice> for Choice {
             scene::DeviceChoice::Auto => Choice::Auto,
             scene::DeviceChoice::Cpu => Choice::Cpu,
             scene::DeviceChoice::OpenCl => Choice::OpenCl,
+            scene::DeviceChoice::All => Choice::All,
             scene::DeviceChoice::OpenClDevice { platform, device } => Choice::OpenClAt(platform, device),
         }
     }

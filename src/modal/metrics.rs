@@ -70,6 +70,12 @@ impl Metrics {
             .try_for_each(|first| self.make(reference, first..levels.min(first + MATRICES_AT_ONCE)))
     }
 
+    /// Computes what all of them are made of. It uses all threads, and those that wait for it must not be among them: to be called before
+    /// [`Metrics::for_image`] in threads of the pool.
+    pub(super) fn prepare(&self, reference: &CpuChain<f64>) {
+        self.flat(reference);
+    }
+
     /// Any of them, for its size.
     ///
     /// # Errors

@@ -112,7 +112,8 @@ section! {
         /// retrieved wavefronts and refuses slopes of another sign, order, unit or time, "use" divides them by the gain that
         /// was found, "ignore" leaves them out.
         telemetry: Telemetry, ANY, default(Telemetry::Check);
-        /// Device that computes the estimate.
+        /// Device that computes the estimate; "all" shares the images of a modal estimate among all GPUs, or among all OpenCL devices
+        /// where there is no GPU.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
         /// Precision of the imaging chain; the default is "f32" for method = "full-phase".
         precision: Precision, ANY, default(Precision::F64);

@@ -206,5 +206,6 @@ pub(super) fn device_name(choice: Choice) -> String {
         Choice::Cpu => "cpu".into(),
         Choice::OpenCl => "opencl".into(),
         Choice::OpenClAt(platform, device) => format!("opencl:{platform}:{device}"),
+        Choice::All => "all".into(),
     }
 }

@@ -1,6 +1,6 @@
 //! One way to estimate, tried on many draws: residuals, bounds, pulls, time.
 
-use super::{Draw, Progress, statistics};
+use super::{Draw, KeptDraw, Progress, statistics, to_cells, to_numbers};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::{MapGram, residual_nm};
 use cophase::modal::{Frame, ModalEstimate, ModalFitter};
@@ -11,8 +11,10 @@ use cophase::source::Truth;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, s, stack};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
+use twox_hash::XxHash3_128;
 
 /// Images that are fitted in one batch. A fixed number, so that results do not depend on how many cores there are;
 /// small, so that all cores have something to do.
@@ -81,7 +83,7 @@ pub struct Trial {
     /// Wall-clock time for this image: that of its batch, shared out.
     pub seconds: f64,
     /// One word: `ok`, `misfit`, `wrong-minimum`, `not-converged`.
-    pub status: &'static str,
+    pub status: Cow<'static, str>,
     /// The estimate, nm.
     pub coefficients_nm: Vec<f64>,
 }
@@ -122,15 +124,23 @@ impl Case {
         Ok(Self { phasing, ncpa, estimator })
     }
 
-    /// Fits every draw on its own.
+    /// Fits every draw on its own. Batches of other processes' parts have trials without an estimate.
     ///
     /// # Errors
     /// Those of [`ModalFitter::estimate`]; a fit that fails is no error but a [`Trial::status`].
     pub fn fit(&self, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
-        let batches = draws.par_chunks(BATCH).map(|batch| {
-            let trials = self.fit_batch(batch, progress)?;
-            progress.add(batch.len());
-            Ok(trials)
+        let key = XxHash3_128::oneshot(self.estimator.scene().text().as_bytes());
+        let batches = draws.par_chunks(BATCH).enumerate().map(|(number, batch)| {
+            let (row, first) = (format!("{key:032x}, {} draws", batch.len()), batch[0].seed);
+            // The first batch of each case is of another part, so that many small cases are spread.
+            let place = number + (key % 1000) as usize;
+            let trials = progress.draw((&row, first, place), batch.len(), || {
+                let trials = self.fit_batch(batch, progress)?;
+                progress.add(batch.len());
+                Ok(Trials(trials))
+            })?;
+            let absent = || batch.iter().map(|draw| failed(draw, f64::NAN)).collect();
+            Ok(trials.map_or_else(absent, |trials| trials.0))
         });
         Ok(batches.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
     }
@@ -164,7 +174,7 @@ impl Case {
             reduced_chi2: report.reduced_chi2,
             evaluations: report.evaluations,
             seconds,
-            status: report.status.word(),
+            status: report.status.word().into(),
             coefficients_nm,
         })
     }
@@ -304,6 +314,49 @@ impl Case {
     }
 }
 
+/// The trials of a batch.
+#[derive(Debug)]
+struct Trials(Vec<Trial>);
+
+/// Cells of a trial before its coefficients.
+const TRIAL_CELLS: usize = 8;
+
+impl KeptDraw for Trials {
+    fn cells(&self) -> Vec<String> {
+        let cells = |trial: &Trial| {
+            let Trial { seed, phasing_nm, ncpa_nm, reduced_chi2, evaluations, seconds, status, coefficients_nm } =
+                trial;
+            let figures = [*phasing_nm, *ncpa_nm, *reduced_chi2, *seconds];
+            let counts = [*seed, *evaluations, coefficients_nm.len()].map(|count| count.to_string());
+            let head = [status.to_string()].into_iter().chain(counts).chain(to_cells(&figures));
+            head.chain(to_cells(coefficients_nm)).collect::<Vec<_>>()
+        };
+        self.0.iter().flat_map(cells).collect()
+    }
+
+    fn from_cells(mut cells: &[&str]) -> Option<Self> {
+        let mut trials = Vec::new();
+        while let Some((&[status, seed, evaluations, modes, figures @ ..], rest)) =
+            cells.split_first_chunk::<TRIAL_CELLS>()
+        {
+            let [phasing_nm, ncpa_nm, reduced_chi2, seconds] = to_numbers(&figures)?[..] else { return None };
+            let (coefficients_nm, next) = rest.split_at_checked(modes.parse().ok()?)?;
+            trials.push(Trial {
+                seed: seed.parse().ok()?,
+                phasing_nm,
+                ncpa_nm,
+                reduced_chi2,
+                evaluations: evaluations.parse().ok()?,
+                seconds,
+                status: status.to_owned().into(),
+                coefficients_nm: to_numbers(coefficients_nm)?,
+            });
+            cells = next;
+        }
+        cells.is_empty().then_some(Self(trials))
+    }
+}
+
 fn failed(draw: &Draw, seconds: f64) -> Trial {
     Trial {
         seed: draw.seed,
@@ -312,7 +365,27 @@ fn failed(draw: &Draw, seconds: f64) -> Trial {
         reduced_chi2: f64::NAN,
         evaluations: 0,
         seconds,
-        status: "not-converged",
+        status: "not-converged".into(),
         coefficients_nm: Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn trials_are_kept_to_the_bit() {
+        let trial = |seed: usize| Trial {
+            seed,
+            phasing_nm: 1.0 / 3.0,
+            ncpa_nm: f64::NAN,
+            reduced_chi2: 1.1,
+            evaluations: 17,
+            seconds: 0.1,
+            status: "wrong-minimum".into(),
+            coefficients_nm: vec![0.1; seed],
+        };
+        crate::experiment::assert_survives(&Trials((0..4).map(trial).collect()));
     }
 }

@@ -1,11 +1,13 @@
-//! Who waits for an experiment, and whether they still want to.
+//! Progress of an experiment, its cancellation, and the draws that it shares with other processes.
 
+use super::shares::{KeptDraw, Shares};
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Counts fitted images over a whole experiment.
+/// Counts fitted images over a whole experiment; its draws may be shared with other processes.
 pub struct Progress<'a> {
+    shares: Option<Shares>,
     watch: &'a (dyn Fn(usize, usize) + Sync),
     cancel: Option<&'a CancelFlag>,
     done: AtomicUsize,
@@ -15,7 +17,40 @@ pub struct Progress<'a> {
 impl<'a> Progress<'a> {
     /// `watch` is called with (done, total); `cancel` stops the experiment where it goes up.
     pub fn new(watch: &'a (dyn Fn(usize, usize) + Sync), cancel: Option<&'a CancelFlag>) -> Self {
-        Self { watch, cancel, done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
+        Self { shares: None, watch, cancel, done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
+    }
+
+    /// This, of an experiment that shares its draws.
+    pub fn with_shares(self, shares: Shares) -> Self {
+        Self { shares: Some(shares), ..self }
+    }
+
+    /// The draws that the experiment shares; none where it has all to itself.
+    pub fn shares(&self) -> Option<&Shares> {
+        self.shares.as_ref()
+    }
+
+    /// Draw `seed` of `row`, in the given place of all draws: the one that is kept, or else that of `make`, which is kept; none where it
+    /// is of another process's part. It takes `steps` steps, which `make` counts.
+    ///
+    /// # Errors
+    /// Those of `make`; [`Error::File`]; [`Error::Interrupted`].
+    pub fn draw<D: KeptDraw>(
+        &self,
+        (row, seed, place): (&str, usize, usize),
+        steps: usize,
+        make: impl FnOnce() -> Result<D>,
+    ) -> Result<Option<D>> {
+        self.check()?;
+        let Some(shares) = &self.shares else { return make().map(Some) };
+        let kept = shares.kept(row, seed);
+        if kept.is_some() || !shares.is_own(place) {
+            self.add(steps);
+            return Ok(kept);
+        }
+        let made = make()?;
+        shares.keep(row, seed, &made)?;
+        Ok(Some(made))
     }
 
     /// Flag that stops the experiment, for code that polls it.

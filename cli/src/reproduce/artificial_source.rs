@@ -162,7 +162,7 @@ impl ArtificialSource {
                     Cell::Number(trial.reduced_chi2, 3),
                     trial.evaluations.into(),
                     Cell::Number(trial.seconds, 3),
-                    trial.status.into(),
+                    Cell::Text(trial.status.to_string()),
                 ]);
             }
         }

@@ -2,7 +2,7 @@
 
 use super::pulls::pull_cells;
 use super::statistics::median;
-use super::{Cell, Progress, Report, Table};
+use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
 use crate::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use cophase::pipeline::Estimate;
 use cophase::scene::Scene;
@@ -119,6 +119,28 @@ impl ChannelDraw {
     }
 }
 
+impl KeptDraw for ChannelDraw {
+    fn cells(&self) -> Vec<String> {
+        let number = |is: bool| f64::from(u8::from(is));
+        let Self { residual_nm: [p, n], sigma_nm: [sp, sn], seconds, is_flagged, integers } = self;
+        let own = [*p, *n, *sp, *sn, *seconds, number(*is_flagged)];
+        let integers = integers.iter().flat_map(|(probability, is_right)| [*probability, number(*is_right)]);
+        to_cells(&own.into_iter().chain(integers).collect::<Vec<_>>())
+    }
+
+    fn from_cells(cells: &[&str]) -> Option<Self> {
+        let numbers = to_numbers(cells)?;
+        let ([p, n, sp, sn, seconds, flag], integers) = numbers.split_first_chunk()?;
+        Some(Self {
+            residual_nm: [*p, *n],
+            sigma_nm: [*sp, *sn],
+            seconds: *seconds,
+            is_flagged: *flag != 0.0,
+            integers: integers.chunks_exact(2).map(|pair| (pair[0], pair[1] != 0.0)).collect(),
+        })
+    }
+}
+
 /// Mean of `map` over each segment.
 fn segment_means(found: &Estimate, map: &ndarray::Array2<f64>) -> Vec<f64> {
     let pupil = &found.pupil;
@@ -142,18 +164,18 @@ pub struct ChannelTable(pub Vec<(ChannelRow, Vec<ChannelDraw>)>);
 /// Those of the estimator, and [`Error::Interrupted`].
 pub fn channels(rows: &[ChannelRow], seeds: usize, progress: &Progress) -> Result<ChannelTable> {
     progress.expect(rows.len() * seeds);
-    let table = rows.iter().map(|row| {
+    let table = rows.iter().enumerate().map(|(place, row)| {
         let made = Scene::preset(row.preset)?.with(row.made)?;
         let read = Scene::preset(row.preset)?.with(row.read)?;
         let estimator = Estimator::new(&read)?;
-        let draw = |seed: usize| {
-            progress.check()?;
+        let make = |seed: usize| {
             let images = Images::simulated_channels(&made.with_override("aberrations.seed", &seed.to_string())?)?;
             let found = ChannelDraw::new(&estimator.estimate_channels(&images)?)?;
             progress.add(1);
             Ok(found)
         };
-        Ok((*row, (1..=seeds).into_par_iter().map(draw).collect::<Result<Vec<_>>>()?))
+        let draw = |seed: usize| progress.draw((row.name, seed, place * seeds + seed), 1, || make(seed)).transpose();
+        Ok((*row, (1..=seeds).into_par_iter().filter_map(draw).collect::<Result<Vec<_>>>()?))
     });
     Ok(ChannelTable(table.collect::<Result<Vec<_>>>()?))
 }
@@ -229,5 +251,19 @@ impl ChannelTable {
         self.picture().draw(&files[1])?;
         let text = "Channels: several images of one wavefront\n".to_string() + &self.table().text();
         Ok(Report { text: text + "\n", files: files.to_vec() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_draw_is_kept_to_the_bit() {
+        for integers in [vec![], vec![(0.1, true), (1.0 / 3.0, false)]] {
+            let (residual_nm, sigma_nm) = ([1.0 / 3.0, f64::NAN], [1e-9, 2.0]);
+            let draw = ChannelDraw { residual_nm, sigma_nm, seconds: 0.1, is_flagged: true, integers };
+            crate::experiment::assert_survives(&draw);
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Checks: one planted fault each. Is the right cause named first, and nothing where there is none?
 
 use super::hard_cases::{Spoil, flipped, made};
-use super::{Cell, Progress, Report, Table};
+use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
 use cophase::pipeline::{Check, CheckedQuantity, Control, Images, Poke, check};
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
@@ -88,11 +88,26 @@ pub struct CheckDraw {
     /// Size of the planted fault, in its unit.
     pub planted: f64,
     /// The cause that was named first; `None` where nothing was, and "failed" where the check ended with an error.
-    pub named: Option<&'static str>,
+    pub named: Option<String>,
     /// Whether it is right.
     pub is_right: bool,
     /// Seconds.
     pub seconds: f64,
+}
+
+impl KeptDraw for CheckDraw {
+    fn cells(&self) -> Vec<String> {
+        let Self { peak_snr, planted, named, is_right, seconds } = self;
+        let numbers = to_cells(&[*peak_snr, *planted, f64::from(u8::from(*is_right)), *seconds]);
+        numbers.into_iter().chain(named.clone()).collect()
+    }
+
+    fn from_cells(cells: &[&str]) -> Option<Self> {
+        let (numbers, named) = cells.split_at_checked(4)?;
+        let [peak_snr, planted, right, seconds] = to_numbers(numbers)?[..] else { return None };
+        let named = named.first().map(|named| (*named).to_owned());
+        Some(Self { peak_snr, planted, named, is_right: right != 0.0, seconds })
+    }
 }
 
 /// Draws of rows.
@@ -117,16 +132,16 @@ const POKE: Poke = Poke::Segment(18, 150.0);
 pub fn checks(rows: &[CheckRow], seeds: usize, progress: &Progress) -> Result<Checks> {
     progress.expect(rows.len() * seeds);
     let base = Scene::preset("keck-artificial")?.with(&BASE)?;
-    let of_row = |row: &CheckRow| {
-        let draw = |seed: usize| {
-            progress.check()?;
+    let of_row = |(place, row): (usize, &CheckRow)| {
+        let make = |seed: usize| {
             let drawn = draw(&base, row, seed as u64)?;
             progress.add(1);
             Ok(drawn)
         };
-        Ok((*row, (1..=seeds).into_par_iter().map(draw).collect::<Result<Vec<_>>>()?))
+        let draw = |seed: usize| progress.draw((row.name, seed, place * seeds + seed), 1, || make(seed)).transpose();
+        Ok((*row, (1..=seeds).into_par_iter().filter_map(draw).collect::<Result<Vec<_>>>()?))
     };
-    Ok(Checks(rows.iter().map(of_row).collect::<Result<Vec<_>>>()?))
+    Ok(Checks(rows.iter().enumerate().map(of_row).collect::<Result<Vec<_>>>()?))
 }
 
 /// Uniform numbers of a seed in [0, 1): a sequence of low discrepancy (Weyl), so that few draws cover the range.
@@ -200,15 +215,15 @@ fn draw(base: &Scene, row: &CheckRow, seed: u64) -> Result<CheckDraw> {
     let (named, is_right) = match check(&scene, &images, poke, &Control::default()) {
         Ok(found) => verdict(row, &found),
         Err(error @ Error::Interrupted(_)) => return Err(error),
-        Err(_) => (Some("failed"), false),
+        Err(_) => (Some("failed".into()), false),
     };
     Ok(CheckDraw { peak_snr, planted, named, is_right, seconds: started.elapsed().as_secs_f64() })
 }
 
-fn verdict(row: &CheckRow, found: &Check) -> (Option<&'static str>, bool) {
+fn verdict(row: &CheckRow, found: &Check) -> (Option<String>, bool) {
     let cause = found.cause().map(|cause| cause.quantity);
     let is_right = cause.map_or(row.right.is_empty(), |cause| row.right.contains(&cause));
-    (cause.map(CheckedQuantity::name), is_right)
+    (cause.map(|cause| cause.name().to_owned()), is_right)
 }
 
 /// Images without and with the poke.
@@ -252,7 +267,7 @@ impl Checks {
             let right = draws.iter().filter(|draw| draw.is_right).count();
             let mut named = BTreeMap::<&str, usize>::new();
             for draw in draws {
-                *named.entry(draw.named.unwrap_or("nothing")).or_default() += 1;
+                *named.entry(draw.named.as_deref().unwrap_or("nothing")).or_default() += 1;
             }
             let named: Vec<String> = named.iter().map(|(name, count)| format!("{name}: {count}")).collect();
             let seconds = draws.iter().map(|draw| draw.seconds).sum::<f64>() / draws.len().max(1) as f64;
@@ -276,7 +291,7 @@ impl Checks {
                 row.name.into(),
                 Cell::Number(draw.peak_snr, 0),
                 Cell::Number(draw.planted, 4),
-                draw.named.unwrap_or("nothing").into(),
+                draw.named.as_deref().unwrap_or("nothing").into(),
                 usize::from(draw.is_right).into(),
                 Cell::Number(draw.seconds, 1),
             ]);
@@ -290,5 +305,18 @@ impl Checks {
         self.draws().write_csv(&files[1])?;
         let text = "Checks: the first cause that is named, by planted fault\n".to_string() + &self.table().text();
         Ok(Report { text: text + "\n", files: files.to_vec() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_draw_is_kept_to_the_bit() {
+        for named in [None, Some("sign of the defocus".to_owned())] {
+            let draw = CheckDraw { peak_snr: 1.0 / 3.0, planted: -1.0, named, is_right: true, seconds: 0.1 };
+            crate::experiment::assert_survives(&draw);
+        }
     }
 }

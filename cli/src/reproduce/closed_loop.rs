@@ -5,7 +5,7 @@
 //! --commands`.
 
 use super::statistics::{mean, standard_deviation};
-use super::{Cell, Progress, Report, Table};
+use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
 use crate::experiment::metrics::centre;
 use crate::plot::{CurvePicture, Series};
 use cophase::ao::{self, Shot, Simulator, View};
@@ -58,6 +58,36 @@ pub struct Round {
     pub seconds: f64,
 }
 
+/// The rounds of one draw.
+#[derive(Debug)]
+struct Rounds(Vec<Round>);
+
+impl KeptDraw for Rounds {
+    fn cells(&self) -> Vec<String> {
+        let numbers = self.0.iter().flat_map(|round| {
+            let Round { seed, round, phasing_nm, ncpa_nm, strehl, perfect_strehl, sigma_nm: [p, n], seconds } = *round;
+            [seed as f64, round as f64, phasing_nm, ncpa_nm, strehl, perfect_strehl, p, n, seconds]
+        });
+        to_cells(&numbers.collect::<Vec<_>>())
+    }
+
+    fn from_cells(cells: &[&str]) -> Option<Self> {
+        let numbers = to_numbers(cells)?;
+        let (rounds, rest) = numbers.as_chunks();
+        let round = |&[seed, round, phasing_nm, ncpa_nm, strehl, perfect_strehl, p, n, seconds]: &[f64; 9]| Round {
+            seed: seed as usize,
+            round: round as usize,
+            phasing_nm,
+            ncpa_nm,
+            strehl,
+            perfect_strehl,
+            sigma_nm: [p, n],
+            seconds,
+        };
+        rest.is_empty().then(|| Self(rounds.iter().map(round).collect()))
+    }
+}
+
 /// All rounds of all draws.
 #[derive(Debug, Clone)]
 pub struct ClosedLoop {
@@ -73,7 +103,8 @@ pub fn closed_loop(seeds: usize, progress: &Progress) -> Result<ClosedLoop> {
     progress.expect(seeds * ROUNDS);
     let mut rounds = Vec::new();
     for seed in 1..=seeds {
-        rounds.extend(one(seed, progress)?);
+        let draw = progress.draw(("", seed, seed), ROUNDS, || Ok(Rounds(one(seed, progress)?)))?;
+        rounds.extend(draw.into_iter().flat_map(|draw| draw.0));
     }
     Ok(ClosedLoop { rounds })
 }
@@ -269,5 +300,26 @@ impl ClosedLoop {
             self.seeds() * ROUNDS
         );
         Ok(Report { text, files: files.to_vec() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_draw_is_kept_to_the_bit() {
+        let (phasing_nm, ncpa_nm, strehl, perfect_strehl) = (1.0 / 3.0, 0.1, 0.7, 0.8);
+        let round = |round| Round {
+            seed: 3,
+            round,
+            phasing_nm,
+            ncpa_nm,
+            strehl,
+            perfect_strehl,
+            sigma_nm: [f64::NAN; 2],
+            seconds: 0.1,
+        };
+        crate::experiment::assert_survives(&Rounds((0..4).map(round).collect()));
     }
 }

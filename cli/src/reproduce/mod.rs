@@ -21,6 +21,7 @@ mod on_sky_table;
 mod options;
 mod pulls;
 mod report;
+mod row_draw;
 mod samples;
 mod table_rows;
 mod target;
@@ -36,12 +37,14 @@ pub use night::{BadFrame, Followed, Jump, Night, QuietNights, Scenario, TrackedF
 pub use observations::{Observations, PlannedScene, observations};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
-pub use on_sky_table::{OnSky, RowDraw, RowResult, on_sky, reduction_percent};
+pub use on_sky_table::{OnSky, RowResult, on_sky, reduction_percent};
 pub use options::Options;
 pub use pulls::{PullDraw, PullRow, PullTable, pulls};
 pub use report::Report;
+pub use row_draw::RowDraw;
 pub use samples::{Samples, SamplesPoint, samples};
 pub use table_rows::{Conditions, Published, ROWS, Row, Segments, VARIANTS};
 pub use target::Target;
 
-pub use crate::experiment::{Bound, Case, Cell, Draw, Progress, Pulls, Table, Trial, Way, draws, statistics};
+pub use crate::experiment::{Bound, Case, Cell, Draw, Progress, Pulls, Shares, Table, Trial, Way, draws, statistics};
+use crate::experiment::{KeptDraw, to_cells, to_numbers};

@@ -1,8 +1,8 @@
 //! Planned observations: the errors that they promise against those of images taken so.
 
 use super::statistics::median;
-use super::{Cell, Progress, Report, Table};
-use cophase::pipeline::{ObservationPlan, plan_observation};
+use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
+use cophase::pipeline::plan_observation;
 use cophase::scene::Scene;
 use cophase::source::stream;
 use cophase::{Error, Estimator, Images, Result};
@@ -18,10 +18,47 @@ const COLOURS_NM: [f64; 2] = [2168.6, 1640.0];
 /// What one plan promised, and what came of it.
 #[derive(Debug, Clone)]
 pub struct PlannedScene {
-    plan: ObservationPlan,
-    /// RMS residuals of phasing and NCPA over the draws, nm; none where no observation is recommended.
-    measured_nm: Option<[f64; 2]>,
+    budget_nm: f64,
+    /// None where no observation is recommended.
+    observed: Option<Observed>,
+}
+
+/// The observation that a plan recommends, and its draws.
+#[derive(Debug, Clone)]
+struct Observed {
+    /// Wavelength, nm, and defocus, waves RMS, of each channel.
+    channels: Vec<(f64, f64)>,
+    exposures: usize,
+    /// Error bars of phasing and NCPA that the plan promises, nm.
+    expected_nm: [f64; 2],
+    /// RMS residuals of phasing and NCPA over the draws, nm.
+    measured_nm: [f64; 2],
     flagged: usize,
+}
+
+impl KeptDraw for PlannedScene {
+    fn cells(&self) -> Vec<String> {
+        let observed = self.observed.iter().flat_map(|observed| {
+            let Observed { channels, exposures, expected_nm, measured_nm, flagged } = observed;
+            let channels = channels.iter().flat_map(|&(nm, waves)| [nm, waves]);
+            let own = [[*exposures as f64, *flagged as f64], *expected_nm, *measured_nm].concat();
+            own.into_iter().chain(channels)
+        });
+        to_cells(&std::iter::once(self.budget_nm).chain(observed).collect::<Vec<_>>())
+    }
+
+    fn from_cells(cells: &[&str]) -> Option<Self> {
+        let numbers = to_numbers(cells)?;
+        let (&budget_nm, rest) = numbers.split_first()?;
+        let observed = rest.split_first_chunk().map(|(&[exposures, flagged, p, n, mp, mn], channels)| Observed {
+            channels: channels.as_chunks().0.iter().map(|&[nm, waves]| (nm, waves)).collect(),
+            exposures: exposures as usize,
+            expected_nm: [p, n],
+            measured_nm: [mp, mn],
+            flagged: flagged as usize,
+        });
+        Some(Self { budget_nm, observed })
+    }
 }
 
 /// Plans of random scenes.
@@ -52,14 +89,13 @@ fn random(number: u64) -> Result<(Scene, f64, &'static [f64])> {
 /// Those of the planner and of the estimator, and [`Error::Interrupted`].
 pub fn observations(seeds: usize, progress: &Progress) -> Result<Observations> {
     progress.expect(SCENES as usize);
-    let one = |number: u64| {
-        progress.check()?;
+    let make = |number: u64| {
         let (scene, budget_nm, wavelengths_nm) = random(number)?;
         let plan = plan_observation(&scene, wavelengths_nm, budget_nm, None, &mut |_, _| {})?;
-        let mut found = PlannedScene { measured_nm: None, flagged: 0, plan };
-        if let Some(observation) = found.plan.recommended() {
+        let mut found = PlannedScene { budget_nm: plan.budget_nm, observed: None };
+        if let Some(observation) = plan.recommended() {
             let estimator = Estimator::new(&observation.scene)?;
-            let mut squares = [0.0; 2];
+            let (mut squares, mut flagged) = ([0.0; 2], 0);
             for seed in 1..=seeds {
                 progress.check()?;
                 let images = Images::simulated_channels(
@@ -70,21 +106,30 @@ pub fn observations(seeds: usize, progress: &Progress) -> Result<Observations> {
                     return Err(Error::Internal("a simulated image has no truth".into()));
                 };
                 (0..2).for_each(|part| squares[part] += residual.rms_nm[part].powi(2) / seeds as f64);
-                found.flagged += usize::from(!estimate.is_sound());
+                flagged += usize::from(!estimate.is_sound());
             }
-            found.measured_nm = Some(squares.map(f64::sqrt));
+            found.observed = Some(Observed {
+                channels: observation.channels.clone(),
+                exposures: observation.exposures.unwrap_or(0),
+                expected_nm: observation.expected_nm,
+                measured_nm: squares.map(f64::sqrt),
+                flagged,
+            });
         }
         progress.add(1);
         Ok(found)
     };
-    Ok(Observations((0..SCENES).into_par_iter().map(one).collect::<Result<Vec<_>>>()?))
+    // The number of draws of a scene is one of the things that its row depends on.
+    let row = format!("{seeds} draws");
+    let one = |number: u64| progress.draw((&row, number as usize, number as usize), 1, || make(number)).transpose();
+    Ok(Observations((0..SCENES).into_par_iter().filter_map(one).collect::<Result<Vec<_>>>()?))
 }
 
 impl Observations {
     /// Measured over expected errors of all scenes that were planned, phasing and NCPA.
     pub fn ratios(&self) -> Vec<[f64; 2]> {
         let ratio = |one: &PlannedScene| {
-            let (expected, measured) = (one.plan.recommended()?.expected_nm, one.measured_nm?);
+            let Observed { expected_nm: expected, measured_nm: measured, .. } = one.observed.as_ref()?;
             Some([measured[0] / expected[0], measured[1] / expected[1]])
         };
         self.0.iter().filter_map(ratio).collect()
@@ -107,21 +152,21 @@ impl Observations {
             "flagged",
         ]);
         for (number, one) in self.0.iter().enumerate() {
-            let mut cells: Vec<Cell> = vec![number.into(), Cell::Number(one.plan.budget_nm, 2)];
-            if let (Some(observation), Some(measured)) = (one.plan.recommended(), one.measured_nm) {
+            let mut cells: Vec<Cell> = vec![number.into(), Cell::Number(one.budget_nm, 2)];
+            if let Some(observation) = &one.observed {
                 let channels: Vec<String> = observation.channels.iter().map(|(nm, _)| nm.to_string()).collect();
                 let waves: Vec<String> = observation.channels.iter().map(|(_, waves)| waves.to_string()).collect();
                 cells.push(channels.join(" ").as_str().into());
                 cells.push(waves.join(" ").as_str().into());
-                cells.push(observation.exposures.unwrap_or(0).into());
-                for (measured, expected) in measured.into_iter().zip(observation.expected_nm) {
+                cells.push(observation.exposures.into());
+                for (measured, expected) in observation.measured_nm.into_iter().zip(observation.expected_nm) {
                     cells.extend([
                         Cell::Number(expected, 3),
                         Cell::Number(measured, 3),
                         Cell::Number(measured / expected, 2),
                     ]);
                 }
-                cells.push(one.flagged.into());
+                cells.push(observation.flagged.into());
             } else {
                 cells.extend((0..10).map(|_| Cell::from("-")));
             }
@@ -141,5 +186,20 @@ impl Observations {
             median(&all)
         );
         Ok(Report { text, files: vec![file] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_is_kept_to_the_bit() {
+        let (expected_nm, measured_nm) = ([1.0 / 3.0, 0.1], [0.3, f64::NAN]);
+        let channels = vec![(2168.6, 1.5), (1640.0, -0.75)];
+        let observed = Observed { channels, exposures: 40, expected_nm, measured_nm, flagged: 1 };
+        for observed in [None, Some(observed)] {
+            crate::experiment::assert_survives(&PlannedScene { budget_nm: 0.7, observed });
+        }
     }
 }

@@ -5,7 +5,7 @@
 //! ```
 
 use super::table_rows::{Conditions, Row};
-use super::{Progress, Way};
+use super::{KeptDraw, Progress, Way};
 use cophase::ao::{self, Shot, Simulator};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
@@ -118,11 +118,47 @@ impl Sequence {
     }
 }
 
+/// Draws of the sequences of `rows` and seeds 1 to `seeds`, row by row: those that are kept, and those that `read` makes of a sequence
+/// while the next is simulated; without those of other processes' parts. Each draw takes `steps` steps.
+///
+/// # Errors
+/// Those of [`Sequence::make`] and of `read`.
+pub(super) fn sequence_draws<'r, D: KeptDraw>(
+    (rows, seeds): (&[&'r Row], usize),
+    conditions: &Conditions,
+    (progress, steps): (&Progress, usize),
+    mut read: impl FnMut(&'r Row, usize, Sequence) -> Result<D>,
+) -> Result<Vec<(&'r Row, D)>> {
+    let job = |place: usize| (rows[place / seeds], 1 + place % seeds);
+    let (mut draws, mut missing): (Vec<Option<D>>, Vec<usize>) = Default::default();
+    for place in 0..rows.len() * seeds {
+        let (row, seed) = job(place);
+        let draw = progress.shares().and_then(|shares| shares.kept(row.name, seed));
+        if draw.is_none() && progress.shares().is_none_or(|shares| shares.is_own(place)) {
+            missing.push(place);
+        } else {
+            progress.add(steps);
+        }
+        draws.push(draw);
+    }
+    let jobs: Vec<(&Row, usize)> = missing.iter().map(|&place| job(place)).collect();
+    let mut places = missing.into_iter();
+    each_sequence(&jobs, conditions, progress, |row, seed, sequence| {
+        let draw = read(row, seed, sequence)?;
+        progress.shares().map_or(Ok(()), |shares| shares.keep(row.name, seed, &draw))?;
+        if let Some(place) = places.next() {
+            draws[place] = Some(draw);
+        }
+        Ok(())
+    })?;
+    Ok(draws.into_iter().enumerate().filter_map(|(place, draw)| Some((job(place).0, draw?))).collect())
+}
+
 /// Makes the sequences of `jobs` (row and seed) one after another, and hands each to `read` while the next is made.
 ///
 /// # Errors
 /// Those of [`Sequence::make`] and of `read`.
-pub(super) fn each_sequence<'r>(
+fn each_sequence<'r>(
     jobs: &[(&'r Row, usize)],
     conditions: &Conditions,
     progress: &Progress,

@@ -1,6 +1,6 @@
 //! The paper's section 4.4: how many images it takes, and whether their mean or their median.
 
-use super::on_sky::{Reader, each_sequence};
+use super::on_sky::{Reader, sequence_draws};
 use super::statistics::{mean, standard_deviation};
 use super::table_rows::{Conditions, Row};
 use super::{Cell, Progress, Report, Table, Way};
@@ -85,21 +85,23 @@ pub fn image_numbers(conditions: &Conditions, seeds: usize, progress: &Progress)
             points.extend(counts.iter().map(|&images| point(row, way, combine, images)));
         }
     }
-    let jobs: Vec<(&'static Row, usize)> =
-        rows.iter().flat_map(|&row| (1..=seeds).map(move |seed| (row, seed))).collect();
-    each_sequence(&jobs, conditions, progress, |row, _, sequence| {
+    let steps = readers.len() * all;
+    // Of each sequence, the place of a point and the residuals of its sets.
+    let draws = sequence_draws((&rows, seeds), conditions, (progress, steps), |row, _, sequence| {
+        let mut residuals_nm: Vec<f64> = Vec::new();
         for reader in &readers {
             let Some(found) = reader.fit(&sequence, progress)? else { continue };
-            let mine = points.iter_mut().filter(|point| point.row == row.name && point.way == reader.way);
+            let mine = points.iter().enumerate().filter(|(_, one)| one.row == row.name && one.way == reader.way);
             // A loop that was lost has fewer.
-            for point in mine.filter(|point| point.images <= sequence.images()) {
+            for (place, point) in mine.filter(|(_, point)| point.images <= sequence.images()) {
                 let sets = sets(sequence.images(), point.images);
                 for set in 0..sets {
                     let chosen = spread(sequence.images(), point.images, set, sets);
                     match reader.estimator.combine_subset(&found, &chosen, point.combine) {
                         Ok(found) => {
                             let (phasing_nm, ncpa_nm) = (found.phasing_nm.view(), found.ncpa_nm.view());
-                            point.residuals_nm.push(reader.residuals_nm(&sequence, phasing_nm, ncpa_nm)?);
+                            let [phasing_nm, ncpa_nm] = reader.residuals_nm(&sequence, phasing_nm, ncpa_nm)?;
+                            residuals_nm.extend([place as f64, phasing_nm, ncpa_nm]);
                         }
                         // None of the set could be fitted.
                         Err(Error::Image(_)) => {}
@@ -108,8 +110,11 @@ pub fn image_numbers(conditions: &Conditions, seeds: usize, progress: &Progress)
                 }
             }
         }
-        Ok(())
+        Ok(residuals_nm)
     })?;
+    for &[place, phasing_nm, ncpa_nm] in draws.iter().flat_map(|(_, draw)| draw.as_chunks().0) {
+        points[place as usize].residuals_nm.push([phasing_nm, ncpa_nm]);
+    }
     Ok(ImageNumbers { points })
 }
 

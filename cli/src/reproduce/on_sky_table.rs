@@ -1,7 +1,8 @@
 //! The paper's Table 2: residual phasing errors and NCPA behind each kind of loop, in the paper's words, in its
 //! way here, and in ours.
 
-use super::on_sky::{LoopRun, Reader, Reading, each_sequence};
+use super::on_sky::{LoopRun, Reader, sequence_draws};
+use super::row_draw::RowDraw;
 use super::statistics::{mean, standard_deviation};
 use super::table_rows::{Conditions, ROWS, Row, VARIANTS};
 use super::{Cell, Progress, Report, Table, Way};
@@ -31,19 +32,6 @@ pub struct RowResult {
     pub draws: Vec<RowDraw>,
 }
 
-/// One seed of one row.
-#[derive(Debug, Clone)]
-pub struct RowDraw {
-    /// The seed of aberrations, turbulence and noise.
-    pub seed: usize,
-    /// Images that there were.
-    pub images: usize,
-    /// How the loop did; none without a loop.
-    pub run: Option<LoopRun>,
-    /// In the order of [`Way::BOTH`].
-    pub readings: Vec<Reading>,
-}
-
 /// The rows of the paper's table and of its text with draws 1 to `seeds`, both ways.
 ///
 /// # Errors
@@ -59,20 +47,19 @@ pub fn on_sky(rows: &[&'static Row], conditions: &Conditions, seeds: usize, prog
         ways.collect()
     };
     let (inside, behind) = (pair(false)?, pair(true)?);
-    let jobs: Vec<(&'static Row, usize)> =
-        rows.iter().flat_map(|&row| (1..=seeds).map(move |seed| (row, seed))).collect();
-    let mut draws = Vec::with_capacity(jobs.len());
-    each_sequence(&jobs, conditions, progress, |row, seed, sequence| {
+    let steps = scenes.iter().map(|scene| Way::BOTH.len() * scene.image.count).max().unwrap_or(0);
+    let mut draws = sequence_draws((rows, seeds), conditions, (progress, steps), |row, seed, sequence| {
         let readers = if row.has_loop() { &behind } else { &inside };
         let readings = readers.iter().map(|reader| reader.read(&sequence, progress)).collect::<Result<_>>()?;
-        draws.push(RowDraw { seed, images: sequence.images(), run: sequence.run, readings });
-        Ok(())
-    })?;
-    let mut draws = draws.into_iter();
+        Ok(RowDraw { seed, images: sequence.images(), run: sequence.run, readings })
+    })?
+    .into_iter()
+    .peekable();
     let result = |(&row, scene): (&&'static Row, &cophase::scene::Scene)| {
         let put_in = scene.aberrations.as_ref();
         let input_nm = put_in.map_or([f64::NAN; 2], |truth| [truth.segment_piston_rms_nm, truth.ncpa_rms_nm]);
-        RowResult { row, input_nm, draws: draws.by_ref().take(seeds).collect() }
+        let of_row = std::iter::from_fn(|| draws.next_if(|(of, _)| *of == row).map(|(_, draw)| draw));
+        RowResult { row, input_nm, draws: of_row.collect() }
     };
     Ok(OnSky { rows: rows.iter().zip(&scenes).map(result).collect() })
 }
@@ -346,6 +333,7 @@ pub(super) fn all_rows() -> Vec<&'static Row> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reproduce::Reading;
 
     fn reading(way: Way, phasing_nm: f64, ncpa_nm: f64) -> Reading {
         Reading { way, phasing_nm, ncpa_nm, used: 1, reduced_chi2: 1.0, evaluations: 1.0, seconds: 1.0 }

@@ -1,6 +1,8 @@
 //! How a target is run.
 
+use super::Shares;
 use super::table_rows::{Conditions, Segments};
+use cophase::Result;
 use cophase::pipeline::Part;
 use std::path::PathBuf;
 
@@ -19,7 +21,7 @@ pub struct Options {
     pub rows: Vec<String>,
     /// Folder of measured maps of NCPA, each of which is a row of `Target::Beyond`.
     pub maps: Option<PathBuf>,
-    /// The part of the draws of `Target::Beyond` that is made, without a table; none for all.
+    /// The part of the draws that is made, without a table; none for all. Not all targets have parts.
     pub part: Option<Part>,
 }
 
@@ -28,6 +30,16 @@ impl Options {
     pub(super) fn conditions(&self) -> Conditions {
         let settings = if self.quick { vec![("image.count", QUICK_IMAGES)] } else { Vec::new() };
         Conditions { segments: self.segments, settings }
+    }
+
+    /// The draws of the target `name` that are kept in the folder; those of another telescope or of a quick look are not its own.
+    ///
+    /// # Errors
+    /// As [`Shares::open`].
+    pub(super) fn shares(&self, name: &str) -> Result<Shares> {
+        let look = if self.quick { ", --quick" } else { "" };
+        let options = format!("segments of {} m{look}", self.segments.side_m());
+        Shares::open(&self.directory, name, &options, self.part)
     }
 }
 

@@ -4,7 +4,7 @@
 //! 1/√(2nk): of 24 draws and 50 modes to 2 %, but systematic errors of the model are common to all modes of a draw.
 
 use super::statistics::rms;
-use super::{Cell, Progress, Report, Table};
+use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
 use crate::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use cophase::scene::Scene;
 use cophase::{Error, Estimator, Images, Result};
@@ -79,6 +79,18 @@ pub struct PullDraw {
     pub is_flagged: bool,
 }
 
+impl KeptDraw for PullDraw {
+    fn cells(&self) -> Vec<String> {
+        let Self { residual_nm: [p, n], sigma_nm: [sp, sn], seconds, is_flagged } = *self;
+        to_cells(&[p, n, sp, sn, seconds, f64::from(u8::from(is_flagged))])
+    }
+
+    fn from_cells(cells: &[&str]) -> Option<Self> {
+        let [p, n, sp, sn, seconds, flag] = to_numbers(cells)?[..] else { return None };
+        Some(Self { residual_nm: [p, n], sigma_nm: [sp, sn], seconds, is_flagged: flag != 0.0 })
+    }
+}
+
 /// The draws of some rows.
 #[derive(Debug, Clone)]
 pub struct PullTable(pub Vec<(PullRow, Vec<PullDraw>)>);
@@ -89,15 +101,16 @@ pub struct PullTable(pub Vec<(PullRow, Vec<PullDraw>)>);
 /// Those of the estimator, and [`Error::Interrupted`].
 pub fn pulls(rows: &[PullRow], seeds: usize, progress: &Progress) -> Result<PullTable> {
     progress.expect(rows.len() * seeds);
-    let table = rows.iter().map(|row| Ok((row.clone(), row_draws(row, seeds, progress)?)));
+    let of_row = |(place, row): (usize, &PullRow)| Ok((row.clone(), row_draws(row, place * seeds, seeds, progress)?));
+    let table = rows.iter().enumerate().map(of_row);
     Ok(PullTable(table.collect::<Result<Vec<_>>>()?))
 }
 
-fn row_draws(row: &PullRow, seeds: usize, progress: &Progress) -> Result<Vec<PullDraw>> {
+/// The draws of `row`, the first of which is in place `place` of all.
+fn row_draws(row: &PullRow, place: usize, seeds: usize, progress: &Progress) -> Result<Vec<PullDraw>> {
     let scene = row.scene()?;
     let estimator = Estimator::new(&scene)?;
-    let draw = |seed: usize| {
-        progress.check()?;
+    let make = |seed: usize| {
         let images = Images::simulated(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
         let found = estimator.estimate(&images)?;
         progress.add(1);
@@ -111,7 +124,8 @@ fn row_draws(row: &PullRow, seeds: usize, progress: &Progress) -> Result<Vec<Pul
             is_flagged: !found.is_sound(),
         })
     };
-    (1..=seeds).into_par_iter().map(draw).collect()
+    let draw = |seed: usize| progress.draw((&row.name(), seed, place + seed), 1, || make(seed)).transpose();
+    (1..=seeds).into_par_iter().filter_map(draw).collect()
 }
 
 /// RMS over the draws of residual over error bar, of phasing (0) or NCPA (1).
@@ -201,5 +215,20 @@ impl PullTable {
         let text =
             "Pulls: residual over error bar, RMS over the draws; 1 is right\n".to_string() + &self.table().text();
         Ok(Report { text: text + "\n", files: files.to_vec() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_draw_is_kept_to_the_bit() {
+        crate::experiment::assert_survives(&PullDraw {
+            residual_nm: [1.0 / 3.0, f64::NAN],
+            sigma_nm: [1e-9, f64::INFINITY],
+            seconds: 0.1,
+            is_flagged: true,
+        });
     }
 }

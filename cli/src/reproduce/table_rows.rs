@@ -143,7 +143,7 @@ pub enum Segments {
 
 impl Segments {
     /// Length of a side, m, as a scene says it.
-    fn side_m(self) -> &'static str {
+    pub(super) fn side_m(self) -> &'static str {
         match self {
             Segments::Published => "0.862",
             Segments::Real => "0.9",

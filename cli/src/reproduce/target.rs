@@ -7,7 +7,9 @@ use super::{
     channels, checks, closed_loop, diversity, hard_cases, image_numbers, night, observations, on_sky, pulls, samples,
 };
 use cophase::optimize::CancelFlag;
+use cophase::pipeline::Part;
 use cophase::{Error, Result};
+use std::path::Path;
 
 /// What can be reproduced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -182,48 +184,97 @@ impl Target {
         if seeds == 0 {
             return Err(Error::Value("0 seeds leave nothing to reproduce: at least 1 is needed".into()));
         }
-        if let Some(part) = options.part.filter(|_| self != Target::Beyond) {
-            let name = self.name();
-            return Err(Error::Value(format!(
-                "part {part} of {name}: only the draws of beyond are made in parts; leave --part out"
-            )));
-        }
-        let progress = Progress::new(watch, cancel);
+        self.check_part(options.part)?;
         std::fs::create_dir_all(&options.directory).map_err(|error| Error::file(&options.directory, error))?;
+        let progress = Progress::new(watch, cancel);
+        let progress = match self.is_shared() {
+            true => progress.with_shares(options.shares(self.name())?),
+            false => progress,
+        };
+        self.report(seeds, options, &progress)
+    }
+
+    /// Whether processes can share it: its draws do not depend on each other, and each is a few numbers. Those of beyond have a file of
+    /// their own.
+    fn is_shared(self) -> bool {
+        !matches!(
+            self,
+            Target::Layers
+                | Target::Leak
+                | Target::Modes
+                | Target::Strehl
+                | Target::Psd
+                | Target::Night
+                | Target::Beyond
+        )
+    }
+
+    /// # Errors
+    /// [`Error::Value`] for a part of a target that has none.
+    pub fn check_part(self, part: Option<Part>) -> Result<()> {
+        let is_whole = |target: &Self| !target.is_shared() && *target != Target::Beyond;
+        let Some(part) = part.filter(|_| is_whole(&self)) else { return Ok(()) };
+        let (name, whole) = (self.name(), Self::ALL.into_iter().filter(is_whole).map(Self::name).collect::<Vec<_>>());
+        Err(Error::Value(format!(
+            "part {part} of {name}: {} are made by one process; leave --part out, or name another target",
+            whole.join(", ")
+        )))
+    }
+
+    /// Makes its draws, and writes the tables and pictures of all.
+    fn report(self, seeds: usize, options: &Options, progress: &Progress) -> Result<Report> {
+        let (conditions, quick, rows) = (&options.conditions(), options.quick, &options.rows);
+        let run = Run { target: self, options, progress };
         match self {
-            Target::ArtificialSource => artificial_source(seeds, &progress)?.report(&options.directory),
-            Target::Samples => samples(seeds, options.quick, &progress)?.report(&options.directory),
-            Target::Diversity => diversity(seeds, options.quick, &progress)?.report(&options.directory),
-            Target::Table => {
-                let rows = all_rows();
-                on_sky(&rows, &options.conditions(), seeds, &progress)?.report(&options.directory)
-            }
-            Target::Images => image_numbers(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Layers => figures::layers(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Leak => figures::leak(&LeakCase::ALL, seeds, &progress)?.report(&options.directory),
-            Target::Modes => figures::modes(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Strehl => figures::strehl(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Psd => figures::psd(&options.conditions(), seeds, &progress)?.report(&options.directory),
+            Target::ArtificialSource => run.end(artificial_source(seeds, progress)?, |found, to| found.report(to)),
+            Target::Samples => run.end(samples(seeds, quick, progress)?, |found, to| found.report(to)),
+            Target::Diversity => run.end(diversity(seeds, quick, progress)?, |found, to| found.report(to)),
+            Target::Table => run.end(on_sky(&all_rows(), conditions, seeds, progress)?, |found, to| found.report(to)),
+            Target::Images => run.end(image_numbers(conditions, seeds, progress)?, |found, to| found.report(to)),
+            Target::Layers => run.end(figures::layers(conditions, seeds, progress)?, |found, to| found.report(to)),
+            Target::Leak => run.end(figures::leak(&LeakCase::ALL, seeds, progress)?, |found, to| found.report(to)),
+            Target::Modes => run.end(figures::modes(conditions, seeds, progress)?, |found, to| found.report(to)),
+            Target::Strehl => run.end(figures::strehl(conditions, seeds, progress)?, |found, to| found.report(to)),
+            Target::Psd => run.end(figures::psd(conditions, seeds, progress)?, |found, to| found.report(to)),
             Target::HardCases => {
-                hard_cases(&HardCase::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
+                run.end(hard_cases(&HardCase::named(rows)?, seeds, progress)?, |found, to| found.report(to))
             }
-            Target::Pulls => pulls(&PullRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory),
+            Target::Pulls => run.end(pulls(&PullRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),
             Target::Channels => {
-                channels(&ChannelRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
+                run.end(channels(&ChannelRow::named(rows)?, seeds, progress)?, |found, to| found.report(to))
             }
-            Target::Checks => checks(&CheckRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory),
-            Target::Observations => observations(seeds, &progress)?.report(&options.directory),
-            Target::Night => night(seeds, options.quick, &progress)?.report(&options.directory),
-            Target::ClosedLoop => closed_loop(seeds, &progress)?.report(&options.directory),
+            Target::Checks => run.end(checks(&CheckRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),
+            Target::Observations => run.end(observations(seeds, progress)?, |found, to| found.report(to)),
+            Target::Night => run.end(night(seeds, quick, progress)?, |found, to| found.report(to)),
+            Target::ClosedLoop => run.end(closed_loop(seeds, progress)?, |found, to| found.report(to)),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
-                let (conditions, directory) = (options.conditions(), &options.directory);
-                let table = beyond(&rows, &conditions, seeds, (directory, options.part), &progress)?;
+                let directory = &options.directory;
+                let table = beyond(&rows, conditions, seeds, (directory, options.part), progress)?;
                 match options.part {
                     None => table.report(&maps, directory),
                     Some(part) => Ok(table.report_of_part(part, directory)),
                 }
             }
         }
+    }
+}
+
+/// One run of a target.
+struct Run<'a> {
+    target: Target,
+    options: &'a Options,
+    progress: &'a Progress<'a>,
+}
+
+impl Run<'_> {
+    /// The report that `write` makes of all that was found; draws of a part are kept, and make no table.
+    fn end<T>(&self, found: T, write: impl FnOnce(T, &Path) -> Result<Report>) -> Result<Report> {
+        let Some((part, shares)) = self.options.part.zip(self.progress.shares()) else {
+            return write(found, &self.options.directory);
+        };
+        let name = self.target.name();
+        let text = format!("part {part} of {name}: its draws are kept; without --part the table is made of all\n");
+        Ok(Report { text, files: shares.file().filter(|file| file.exists()).map(Path::to_owned).into_iter().collect() })
     }
 }

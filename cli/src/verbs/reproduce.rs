@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:
   cophase reproduce artificial-source -o results            24 draws: a few minutes
   cophase reproduce diversity -o results --seeds 3
   cophase reproduce beyond -o results --row '10 images' --row '128 nm' --seeds 10
-  cophase reproduce beyond -o results --part 3/8            then without --part
+  cophase reproduce table -o results --part 3/8             then without --part
   mpirun -n 8 cophase reproduce beyond -o results --part rank
   cophase reproduce all -o results --quick                  a look at the shapes";
 
@@ -54,7 +54,7 @@ pub struct Arguments {
     /// Folder of measured NCPA maps (NCPA*.fits, nm, over the pupil's grid): one more row of beyond for each
     #[arg(long, value_name = "FOLDER")]
     maps: Option<PathBuf>,
-    /// Make part I of N of the draws of beyond, and no table: without --part the table is made of all draws that are there. rank: the
+    /// Make part I of N of the draws, and no table: without --part the table is made of all draws that are there. rank: the
     /// part of this process under mpirun or srun, whose first process makes the table
     #[arg(long, value_name = "I/N|rank")]
     part: Option<Share>,
@@ -138,6 +138,7 @@ fn make(arguments: &Arguments, part: Option<Part>, terminal: &Terminal, interrup
         maps: arguments.maps.clone(),
         part,
     };
+    arguments.targets.0.iter().try_for_each(|target| target.check_part(part))?;
     let mut written = Vec::new();
     for target in &arguments.targets.0 {
         let report = {

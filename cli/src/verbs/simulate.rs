@@ -3,19 +3,21 @@
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
+use crate::ranks::{Rank, Share};
 use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
-use cophase::pipeline::SentCorrections;
+use cophase::pipeline::{Part, SentCorrections};
 use cophase::scene::Scene;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   cophase simulate keck-onsky -o onsky.fits
   cophase simulate scene.toml -o pol.fits --set control.loop=pseudo-open-loop --seed 7
   cophase simulate keck-onsky -o onsky.fits --aot onsky-aot.fits
   cophase simulate keck-onsky -o again.fits --corrections first.fits --corrections second.fits
+  cophase simulate keck-onsky -o night.fits --seeds 100 --part 3/8
 
 The file holds the defocused images (IMAGES, electrons), the truth (TRUTH_PHASING and TRUTH_NCPA, nm), telemetry at each \
 image (SLOPES, mas; COMMANDS, nm; SHOTS) with the interaction matrix, and the scene, so that 'cophase estimate' needs \
@@ -43,6 +45,12 @@ pub struct Arguments {
     /// Seed of the aberrations, the turbulence and the noise [default: those of the scene]
     #[arg(long, value_parser = crate::files::seed())]
     seed: Option<u64>,
+    /// Make N runs with the seeds from --seed (else 1) on, each a file with its seed in its name: night-1.fits, night-2.fits, ...
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with = "aot")]
+    seeds: Option<u32>,
+    /// Make every N-th of the runs from the I-th on; rank: the part of this process under mpirun or srun
+    #[arg(long, value_name = "I/N|rank", requires = "seeds")]
+    part: Option<Share>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -70,12 +78,53 @@ struct Made {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
+    let Some(seeds) = arguments.seeds else {
+        let made = one(arguments, arguments.seed, &arguments.output, terminal, &interrupt)?;
+        return if arguments.json { terminal.json(&made) } else { Ok(()) };
+    };
+    let share = |part: Part| part.items(seeds as usize);
+    let (own, rank) = match arguments.part {
+        None => ((0..seeds as usize).collect(), None),
+        Some(Share::Part(part)) => (share(part), None),
+        Some(Share::Rank) => {
+            let rank = Rank::of_this_process()?;
+            (share(rank.part()?), Some(rank))
+        }
+    };
+    let first = arguments.seed.unwrap_or(1);
+    let run = |place: usize| {
+        let seed = first.saturating_add(place as u64);
+        one(arguments, Some(seed), &with_seed(&arguments.output, seed), terminal, &interrupt)
+    };
+    let made = own.into_iter().map(run).collect::<Result<Vec<_>>>();
+    let made = made.map_err(|error| match rank {
+        Some(rank) => rank.name(error),
+        None => error,
+    })?;
+    if arguments.json { terminal.json(&made) } else { Ok(()) }
+}
+
+/// `output` with a seed behind its name, before its extension: night.fits.gz is night-7.fits.gz.
+fn with_seed(output: &Path, seed: u64) -> PathBuf {
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    let (stem, extension) = name.rfind(".fit").map_or((&*name, ""), |at| name.split_at(at));
+    output.with_file_name(format!("{stem}-{seed}{extension}"))
+}
+
+/// One run, written to `output` and shown, unless JSON is wanted; returns its figures.
+fn one(
+    arguments: &Arguments,
+    seed: Option<u64>,
+    output: &Path,
+    terminal: &Terminal,
+    interrupt: &Interrupt,
+) -> Result<Made> {
     let aot = arguments.aot.as_deref().map(|path| ("--aot", path));
-    let written: Vec<Flagged> = [("-o", arguments.output.as_path())].into_iter().chain(aot).collect();
+    let written: Vec<Flagged> = [("-o", output)].into_iter().chain(aot).collect();
     let corrections = arguments.corrections.iter().map(|path| ("--corrections", path.as_path()));
     let inputs: Vec<Flagged> = [("the scene", arguments.scene.as_path())].into_iter().chain(corrections).collect();
     outputs::check(&written, &inputs)?;
-    let seed = arguments.seed.map(|seed| seed.to_string());
+    let seed = seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> =
         seed.iter().flat_map(|seed| ["aberrations.seed", "turbulence.seed"].map(|key| (key, seed.as_str()))).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
@@ -85,8 +134,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     }
     super::image::check_memory(&scene)?;
     let sent = arguments.corrections.iter().map(|path| SentCorrections::read(path)).collect::<Result<Vec<_>>>()?;
-    let (simulator, shots, summary) = simulate(&scene, &sent, terminal, &interrupt)?;
-    ao::write(&arguments.output, &simulator, &shots, &summary)?;
+    let (simulator, shots, summary) = simulate(&scene, &sent, terminal, interrupt)?;
+    ao::write(output, &simulator, &shots, &summary)?;
     if let Some(path) = &arguments.aot {
         ao::write_aot(path, &simulator, &shots, &summary)?;
     }
@@ -96,13 +145,14 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
             divergence.time_s, divergence.residual_rms_nm
         ));
     }
+    let made = made(&simulator, &shots, &summary);
     if arguments.json {
-        return terminal.json(&made(&simulator, &shots, &summary));
+        return Ok(made);
     }
     let mut text = format!(
         "{}: {} {} from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
          residual {:.1} nm RMS, Strehl {:.3} at {} nm (by Marechal {:.3}); {}\n",
-        arguments.output.display(),
+        output.display(),
         crate::terminal::counted(summary.images, "image"),
         sizes(&scene, &shots),
         summary.frames,
@@ -118,7 +168,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if arguments.verbose {
         text += &stages(&simulator, &summary);
     }
-    terminal.show(&text)
+    terminal.show(&text)?;
+    Ok(made)
 }
 
 /// The run itself, after the corrections `sent`.

@@ -120,6 +120,41 @@ fn a_device_that_was_named_and_fails_is_a_status() {
     }
 }
 
+/// PoCL shows its cores as two devices of one kind. Where another driver has devices, too, they are others.
+#[test]
+fn several_devices_make_the_bits_of_one_or_a_status() {
+    let Some(first) = opencl() else { return };
+    let desk = Desk::with_images(&["image.count=9"]);
+    let estimate = |device: &str, fault: &str, more: &[&str]| {
+        let arguments = [&ESTIMATE[..], &["--device", device], more].concat();
+        Done::from(with_fault(&desk, fault, &arguments).env("POCL_DEVICES", "pthread pthread").output().unwrap())
+    };
+    let coefficients = |done: Done| {
+        assert_eq!(done.status, 0, "{}", done.err);
+        let json: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+        let mut file = cophase::io::FitsReader::open(desk.path("est.fits")).unwrap();
+        let nm = file.map(Some("COEFFICIENTS")).unwrap();
+        (json["device"].as_str().unwrap().to_owned(), nm.mapv(f64::to_bits))
+    };
+    let (one, alone) = coefficients(estimate(&first, "", &[]));
+    let (all, shared) = coefficients(estimate("all", "", &[]));
+    println!("{one} and {all}");
+    let devices = cophase::device::devices().unwrap();
+    if devices.iter().all(|info| info.platform_name.contains("Portable Computing Language")) {
+        assert_eq!(all.matches("opencl:").count(), 2, "{all}");
+        assert_eq!(alone, shared);
+    }
+    let before = desk.files();
+    // While the chains are made, and in the midst of the fits.
+    for (fault, words) in [("lost:1", "no device can run this model"), ("lost:120", "all devices have failed")] {
+        let done = estimate("all", fault, &[]);
+        assert!(done.status == 1 && done.err.contains(words), "{fault}: {}", done.err);
+    }
+    let done = estimate("all", "", &["--method", "full-phase"]);
+    assert!(done.status == 1 && done.err.contains("runs on one device"), "{}", done.err);
+    assert_eq!(desk.files(), before);
+}
+
 /// Programs are compiled by the driver, and kept by it from one process to the next. Two processes that begin on one empty
 /// cache do not disturb each other.
 #[test]

@@ -65,7 +65,7 @@ fn ranks_share_the_draws_of_a_table() {
         desk.succeeds(&["reproduce", "beyond", "--row", "75 images", "--seeds", "3", "-o", "results", "--part", "1/2"]);
     assert!(part.out.starts_with("part 1/2 of beyond: 2 draws are there"), "{}", part.out);
     assert!(!desk.path("results/beyond.csv").exists());
-    desk.refuses(&["reproduce", "table", "-o", "other", "--part", "1/2"], &["part 1/2 of table", "beyond"]);
+    desk.refuses(&["reproduce", "leak", "-o", "other", "--part", "1/2"], &["part 1/2 of leak", "one process"]);
     let Some(command) = mpirun(&desk, 2, &format!("exec $COPHASE {reproduce} results --part rank")) else { return };
     let done = run(command);
     assert_eq!((done.status, &done.out), (0, &whole.out), "{}", done.err);

@@ -1,5 +1,6 @@
 //! `cophase simulate`: a file that 'estimate' reads, the figures that scripts read, loops that run away.
 
+use crate::parts::timeless;
 use crate::{Desk, number};
 use cophase::io::FitsReader;
 
@@ -78,15 +79,21 @@ fn a_seed_decides_everything_and_another_one_changes_it() {
     let desk = desk();
     let make = |name: &str, seed: &str| {
         desk.succeeds(&["simulate", "loop.toml", "-o", name, "--seed", seed]);
-        // The cards with the time of writing differ.
-        let dated: [&[u8]; 3] = [b"DATE ", b"CHECKSUM", b"DATASUM "];
-        let bytes = std::fs::read(desk.path(name)).unwrap();
-        let cards = bytes.chunks(80).filter(|card| !dated.iter().any(|key| card.starts_with(key)));
-        cards.flatten().copied().collect::<Vec<u8>>()
+        timeless(&desk.path(name))
     };
     let first = make("a.fits", "4");
     assert!(first == make("b.fits", "4"), "the same seed, the same bytes");
     assert!(first != make("c.fits", "5"));
+    // Several seeds, by two processes of a job array.
+    let seeds = ["simulate", "loop.toml", "-o", "night.fits", "--seed", "4", "--seeds", "3", "--json", "--part"];
+    let made = ["1/2", "2/2"].map(|part| desk.json(&[&seeds[..], &[part]].concat()).as_array().unwrap().len());
+    assert_eq!(made, [2, 1]);
+    let nights: Vec<String> = desk.files().into_iter().filter(|name| name.starts_with("night")).collect();
+    assert_eq!(nights, ["night-4.fits", "night-5.fits", "night-6.fits"]);
+    assert!(first == timeless(&desk.path("night-4.fits")), "a seed among others, the same bytes");
+    assert!(first != timeless(&desk.path("night-5.fits")));
+    let done = desk.run(&["simulate", "loop.toml", "-o", "night.fits", "--part", "1/2"]);
+    assert!(done.status == 2 && done.err.contains("--seeds"), "{}", done.err);
 }
 
 #[test]

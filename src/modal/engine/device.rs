@@ -27,7 +27,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
             // The device was lost before, and the CPU has taken its place.
             Chain::Cpu32(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
             Chain::Cpu64(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
-            Chain::Device { .. } | Chain::Auto(_) => {
+            Chain::Device { .. } | Chain::Auto(_) | Chain::Several(_) => {
                 let exposures: Vec<Exposure> = images.iter().map(|image| image.prepared.exposure.clone()).collect();
                 self.chain.borrow_mut().load(&exposures)?;
                 self.lock_step(task, images, watch)
@@ -118,6 +118,7 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
         prepare_all(task, prepare, images);
         let (all, tile) = (images.len(), task.model.tiles().images);
         task.check(0, all)?;
+        task.metrics.prepare(task.reference);
         let is_late = task.is_late();
         let mut ready: Vec<&mut ImageFit> =
             images.iter_mut().filter(|image| !is_late && image.state == FitState::NotBegun).collect();

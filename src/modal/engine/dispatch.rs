@@ -3,6 +3,7 @@
 use super::cpu::CpuEngine;
 use super::device::DeviceEngine;
 use super::paper;
+use super::several;
 use super::task::{Engine, FitTask, ImageFit, Prepare, Watch};
 use crate::Result;
 use crate::imaging::Chain;
@@ -25,6 +26,7 @@ pub(in crate::modal) fn fit(
     match chain.active_chain() {
         Chain::Cpu32(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
         Chain::Cpu64(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
+        Chain::Several(group) => several::fit(group, task, prepare, images, watch),
         device => DeviceEngine::new(device).fit(task, prepare, images, watch),
     }
 }

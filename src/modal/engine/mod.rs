@@ -1,4 +1,4 @@
-//! Engines: run the fits of a batch of images, on CPU threads or on a device. A fit depends on its own image alone, so
+//! Engines: run the fits of a batch of images, on CPU threads, on a device or on several. A fit depends on its own image alone, so
 //! that every engine of one precision finds the same, for any number of threads or images.
 
 mod cpu;
@@ -6,6 +6,7 @@ mod device;
 mod dispatch;
 mod lane;
 mod paper;
+mod several;
 mod task;
 
 pub(super) use cpu::CpuEngine;

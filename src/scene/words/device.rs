@@ -12,6 +12,8 @@ pub enum DeviceChoice {
     Cpu,
     /// The first OpenCL device.
     OpenCl,
+    /// All GPUs, or all OpenCL devices where there is no GPU: the images of a modal estimate are shared among them.
+    All,
     /// One OpenCL device, by the numbers that `cophase devices` prints.
     OpenClDevice {
         /// Index of the platform.
@@ -24,7 +26,7 @@ pub enum DeviceChoice {
 impl std::str::FromStr for DeviceChoice {
     type Err = crate::Error;
 
-    /// Reads `auto`, `cpu`, `opencl` or `opencl:P:D`.
+    /// Reads `auto`, `cpu`, `all`, `opencl` or `opencl:P:D`.
     ///
     /// # Errors
     /// [`crate::Error::Value`] for any other word.
@@ -37,6 +39,7 @@ impl std::str::FromStr for DeviceChoice {
             "auto" => Ok(Self::Auto),
             "cpu" => Ok(Self::Cpu),
             "opencl" => Ok(Self::OpenCl),
+            "all" => Ok(Self::All),
             _ => numbered().ok_or_else(|| {
                 crate::Error::Value(format!(
                     "device {word:?} is not accepted; {} is needed",
@@ -54,7 +57,7 @@ fn index(digits: &str) -> Option<usize> {
 
 impl FromToml for DeviceChoice {
     fn accepted(_: &Range) -> String {
-        "\"auto\", \"cpu\", \"opencl\" or \"opencl:P:D\" (platform and device numbers)".into()
+        "\"auto\", \"cpu\", \"all\", \"opencl\" or \"opencl:P:D\" (platform and device numbers)".into()
     }
     fn from_toml(value: &Value, _: &Range) -> Option<Self> {
         value.as_str()?.parse().ok()
@@ -64,6 +67,7 @@ impl FromToml for DeviceChoice {
             Self::Auto => "\"auto\"".into(),
             Self::Cpu => "\"cpu\"".into(),
             Self::OpenCl => "\"opencl\"".into(),
+            Self::All => "\"all\"".into(),
             Self::OpenClDevice { platform, device } => format!("\"opencl:{platform}:{device}\""),
         }
     }

@@ -39,15 +39,24 @@ pub fn hard_cases(cases: &[HardCase], seeds: usize, progress: &Progress) -> Resu
     let base = Scene::preset("keck-artificial")?.with(BASE)?;
     // Its Karhunen-Loève basis, which takes the most time, is that of nearly all cases.
     let like = Estimator::new(&base)?;
-    let tried = |case: &HardCase| Ok((*case, tried(case, seeds, &base, &like, progress)?));
-    Ok(HardCases { cases: cases.par_iter().map(tried).collect::<Result<Vec<_>>>()? })
+    let numbers = cases.iter().scan(0, |place, case| Some(std::mem::replace(place, *place + case.draws.number(seeds))));
+    let places: Vec<usize> = numbers.collect();
+    let tried = |(case, place): (&HardCase, &usize)| Ok((*case, tried(case, *place, seeds, &base, &like, progress)?));
+    Ok(HardCases { cases: cases.par_iter().zip(&places).map(tried).collect::<Result<Vec<_>>>()? })
 }
 
-fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &Estimator, progress: &Progress) -> Result<Vec<Verdict>> {
+/// The verdicts on the draws of `case`, the first of which is in place `place` of all.
+fn tried(
+    case: &HardCase,
+    place: usize,
+    seeds: usize,
+    base: &Scene,
+    like: &Estimator,
+    progress: &Progress,
+) -> Result<Vec<Verdict>> {
     let made = base.with(case.made)?;
     let readers = Readers::new(&made.with(case.read)?, like)?;
     let verdict = |number: usize| -> Result<Verdict> {
-        progress.check()?;
         let seed = 1 + number;
         let verdict = if let Spoil::Telemetry(mismatch) = case.spoil {
             telemetry::verdict(mismatch, seed, progress)?
@@ -58,7 +67,9 @@ fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &Estimator, progress
         progress.add(1);
         Ok(verdict)
     };
-    (0..case.draws.number(seeds)).into_par_iter().map(verdict).collect()
+    let row = format!("{}: {}", case.group, case.name);
+    let draw = |number: usize| progress.draw((&row, 1 + number, place + number), 1, || verdict(number)).transpose();
+    (0..case.draws.number(seeds)).into_par_iter().filter_map(draw).collect()
 }
 
 /// Draws of a case that are read in single precision too.

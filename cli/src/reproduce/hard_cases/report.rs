@@ -152,9 +152,9 @@ fn line(case: &HardCase, verdicts: &[Verdict]) -> Vec<Cell> {
 fn words(verdicts: &[Verdict]) -> String {
     let mut counts: Vec<(usize, &str)> = Vec::new();
     for verdict in verdicts {
-        match counts.iter_mut().find(|(_, word)| *word == verdict.word) {
+        match counts.iter_mut().find(|(_, word)| **word == verdict.word) {
             Some((count, _)) => *count += 1,
-            None => counts.push((1, verdict.word)),
+            None => counts.push((1, &verdict.word)),
         }
     }
     counts.sort_by_key(|(count, _)| std::cmp::Reverse(*count));

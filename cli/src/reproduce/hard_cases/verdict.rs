@@ -1,6 +1,7 @@
 //! Is an estimate right, and does it say so where it is not?
 
 use super::spoil::Made;
+use crate::reproduce::{KeptDraw, to_cells, to_numbers};
 use cophase::metrics::residual_nm;
 use cophase::modal::ModalFitter;
 use cophase::modes::Group;
@@ -8,6 +9,7 @@ use cophase::pupil::Pupil;
 use cophase::source::Truth;
 use cophase::{Error, Estimate, Result};
 use ndarray::{Array1, Array2, Axis};
+use std::borrow::Cow;
 
 /// Residuals up to so many times what the error bars make one expect are right: of a hundred modes their RMS scatters by
 /// 7 %, of a few (a focus that dominates) it stays within this in all but one of three hundred.
@@ -24,7 +26,7 @@ const MAY_BE_FLIPPED: &str = "orientation cannot be verified";
 #[derive(Debug, Clone)]
 pub struct Verdict {
     /// One word: the status of the estimate, `warned` where it is ok and the estimate has a warning, or `refused`.
-    pub word: &'static str,
+    pub word: Cow<'static, str>,
     /// The sentence of a refusal.
     pub sentence: Option<String>,
     /// Residuals of phasing (modulo a wavelength) and NCPA, nm; NaN without an estimate.
@@ -50,7 +52,7 @@ pub struct Verdict {
 impl Verdict {
     /// Of images that the estimator refuses.
     const REFUSED: Self = Self {
-        word: "refused",
+        word: Cow::Borrowed("refused"),
         sentence: None,
         error_nm: [f64::NAN; 2],
         ncpa_but_diversity_nm: f64::NAN,
@@ -105,7 +107,7 @@ impl Verdict {
     fn own_figures(found: &Estimate) -> Self {
         let status = found.status.word();
         Self {
-            word: if status == OK && !found.warnings.is_empty() { "warned" } else { status },
+            word: Cow::Borrowed(if status == OK && !found.warnings.is_empty() { "warned" } else { status }),
             sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
             reduced_chi2: found.reduced_chi2,
             evaluations: found.evaluations(),
@@ -134,6 +136,38 @@ impl Verdict {
     pub(super) fn by_maps(found: &Estimate) -> Self {
         let error_nm = found.truth.as_ref().map_or([f64::INFINITY; 2], |(_, apart)| [apart.rms_nm[0], apart.rms_nm[1]]);
         Self { error_nm, ..Self::own_figures(found) }
+    }
+}
+
+impl KeptDraw for Verdict {
+    fn cells(&self) -> Vec<String> {
+        let [[p, n], [fp, f_n], [sp, sn]] = [self.error_nm, self.flipped_nm, self.sigma_nm];
+        let figures = [self.reduced_chi2, self.evaluations as f64, self.f32_nm, self.opencl_nm];
+        let numbers = [&[p, n, self.ncpa_but_diversity_nm, fp, f_n, sp, sn], &figures[..]].concat();
+        let sentence = self.sentence.as_ref().map(|text| text.split_whitespace().collect::<Vec<_>>().join(" "));
+        std::iter::once(self.word.to_string()).chain(to_cells(&numbers)).chain(sentence).collect()
+    }
+
+    fn from_cells(cells: &[&str]) -> Option<Self> {
+        let (word, cells) = cells.split_first()?;
+        let (numbers, sentence) = cells.split_at_checked(11)?;
+        let [p, n, ncpa_but_diversity_nm, fp, f_n, sp, sn, reduced_chi2, evaluations, f32_nm, opencl_nm] =
+            to_numbers(numbers)?[..]
+        else {
+            return None;
+        };
+        Some(Self {
+            word: Cow::Owned((*word).to_owned()),
+            sentence: sentence.first().map(|text| (*text).to_owned()),
+            error_nm: [p, n],
+            ncpa_but_diversity_nm,
+            flipped_nm: [fp, f_n],
+            sigma_nm: [sp, sn],
+            reduced_chi2,
+            evaluations: evaluations as usize,
+            f32_nm,
+            opencl_nm,
+        })
     }
 }
 
@@ -223,4 +257,16 @@ fn nearest(fitter: &ModalFitter, coefficients_nm: &[f64], piston_nm: &[f64]) -> 
     let count = model.segment_modes.max(1) as f64;
     near_nm[..model.segment_modes].iter_mut().for_each(|near| *near -= off_nm / count);
     near_nm
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_verdict_is_kept_to_the_bit() {
+        let refused = Verdict { sentence: Some("the image is dark: no star".into()), ..Verdict::REFUSED };
+        let found = Verdict { word: "warned".into(), error_nm: [1.0 / 3.0, 0.1], evaluations: 7, ..Verdict::REFUSED };
+        [refused, found].iter().for_each(crate::experiment::assert_survives);
+    }
 }

@@ -75,7 +75,8 @@ pub struct Arguments {
     /// Also draw the result
     #[arg(long, value_name = "FILE.png|svg")]
     pub(super) plot: Option<PathBuf>,
-    /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them
+    /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them; all: modal fits shared among all GPUs, or among all
+    /// OpenCL devices where there is no GPU
     #[arg(long, value_parser = device)]
     pub(super) device: Option<String>,
     /// Precision of the imaging model [default: f64, or f32 with full-phase]
