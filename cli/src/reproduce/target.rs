@@ -4,7 +4,8 @@ use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
     ChannelRow, CheckRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows,
-    channels, checks, closed_loop, diversity, hard_cases, image_numbers, night, observations, on_sky, pulls, samples,
+    channels, checks, closed_loop, diversity, hard_cases, image_numbers, night, observations, on_sky, petals, pulls,
+    samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
@@ -48,11 +49,13 @@ pub enum Target {
     Night,
     /// Estimate, correct, repeat, behind a loop.
     ClosedLoop,
+    /// Pistons of the parts of a pupil behind a spider.
+    Petals,
 }
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 18] = [
+    pub const ALL: [Target; 19] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -71,6 +74,7 @@ impl Target {
         Target::Observations,
         Target::Night,
         Target::ClosedLoop,
+        Target::Petals,
     ];
 
     /// The figures of section 4 that are neither the table's nor that of the number of images.
@@ -97,6 +101,7 @@ impl Target {
             Target::Observations => "observations",
             Target::Night => "night",
             Target::ClosedLoop => "closed-loop",
+            Target::Petals => "petals",
         }
     }
 
@@ -131,6 +136,7 @@ impl Target {
             Target::ClosedLoop => {
                 "three rounds of images and corrections behind the zonal loop, and the Strehl ratio in K"
             }
+            Target::Petals => "pistons of six petals up to 800 nm: residual and error bar in focus and out of focus",
         }
     }
 
@@ -140,7 +146,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
-            Target::Samples | Target::HardCases | Target::Observations | Target::Checks => 8,
+            Target::Samples | Target::HardCases | Target::Observations | Target::Checks | Target::Petals => 8,
             Target::Diversity => 6,
             // Nights without jumps, for the false alarms: 50 of one each are known to 14 %.
             Target::Night => 50,
@@ -215,6 +221,7 @@ impl Target {
             Target::Observations => observations(seeds, &progress)?.report(&options.directory),
             Target::Night => night(seeds, options.quick, &progress)?.report(&options.directory),
             Target::ClosedLoop => closed_loop(seeds, &progress)?.report(&options.directory),
+            Target::Petals => petals(seeds, options.quick, &progress)?.report(&options.directory),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
                 let (conditions, directory) = (options.conditions(), &options.directory);
