@@ -136,7 +136,7 @@ impl Target {
             Target::ClosedLoop => {
                 "three rounds of images and corrections behind the zonal loop, and the Strehl ratio in K"
             }
-            Target::Petals => "pistons of six petals up to 800 nm: residual and error bar in focus and out of focus",
+            Target::Petals => "pistons of petals up to 800 nm: residual and error bar in focus, out of focus and in two colours",
         }
     }
 
