@@ -1,7 +1,7 @@
 //! Petals, the parts of a pupil that its spider separates: found in geometry and in maps, in the truth and in estimates.
 
-use super::full_phase::{exposures, sky};
-use cophase::ao::Stepper;
+use super::full_phase::sky;
+use cophase::ao::{self, Progress, Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::pupil::{Aperture, Grid, HexagonalParameters, Pupil, PupilParts};
 use cophase::scene::Scene;
@@ -48,10 +48,10 @@ fn arms_divide_the_pupil_into_sectors_by_their_direction() {
     }
 }
 
-/// Samples of 11 mm: gaps of 20 mm are dark strips of one or two samples, and arms of 60 mm of five or more.
+/// Samples of 12 mm: gaps of 20 mm are dark strips of one or two samples, and arms of 60 mm of five.
 #[test]
 fn maps_have_the_parts_of_their_geometry_and_gaps_separate_nothing() {
-    let grid = Grid::new(960, 11.0).unwrap();
+    let grid = Grid::new(960, 11.1).unwrap();
     let mirror = HexagonalParameters { gap_m: 0.02, obscuration_diameter_m: 2.6, ..HexagonalParameters::keck() };
     let whole = Aperture::hexagonal(&mirror).unwrap().pupil(&grid).unwrap();
     assert_eq!(PupilParts::of_maps(&whole).count(), 1);
@@ -98,20 +98,13 @@ fn petals_are_added_to_the_ncpa_and_leave_the_other_draws_as_they_are() {
         // Sums of 2,000 samples.
         assert!((mean_nm - wanted_nm).abs() < 1e-9, "{mean_nm} {wanted_nm}");
     }
-    let drawn = [("aberrations.petal_piston_rms_nm", "80"), ("aberrations.petal_tip_tilt_rms_nm", "60")];
-    let (_, drawn) = truth(&keck(&drawn));
+    let (_, drawn) = truth(&keck(&[("aberrations.petal_piston_rms_nm", "80")]));
     assert_eq!(before.piston_nm, drawn.piston_nm);
     let added_nm: Array2<f64> = &drawn.ncpa_nm - &before.ncpa_nm;
-    // Pistons and tilts are orthogonal over each petal.
-    assert!((pupil.rms(added_nm.view()).unwrap() - 80f64.hypot(60.0)).abs() < 1e-6);
-    assert!(
-        pupil
-            .remove_piston(added_nm.view())
-            .unwrap()
-            .iter()
-            .zip(&added_nm)
-            .all(|(a, b)| a.is_nan() || (a - b).abs() < 1e-9)
-    );
+    // Exact but for the rounding of the sums over 8,000 samples.
+    assert!((pupil.rms(added_nm.view()).unwrap() - 80.0).abs() < 1e-9);
+    let centred_nm = pupil.remove_piston(added_nm.view()).unwrap();
+    assert!(centred_nm.iter().zip(&added_nm).all(|(a, b)| a.is_nan() || (a - b).abs() < 1e-9));
 }
 
 fn estimate(scene: &Scene) -> Estimate {
@@ -146,13 +139,14 @@ fn pistons_tips_and_tilts_of_a_mirror_of_one_piece_are_found() {
         ("aberrations.segment_piston_rms_nm", "0"),
         ("aberrations.petal_piston_rms_nm", "150"),
         ("aberrations.petal_tip_tilt_rms_nm", "60"),
+        ("estimate.model", "scene"),
     ];
     let found = ["none", "piston-tip-tilt"]
         .map(|petals| estimate(&keck(&settings).with_override("modes.petals", petals).unwrap()));
     let left_nm = found.each_ref().map(|found| found.truth.as_ref().unwrap().1.rms_nm[1]);
     println!("NCPA residuals without and with petals, nm: {left_nm:?}, error bar {:?}", found[1].ncpa);
     assert!(found[1].basis.names.iter().any(|name| name == "petal-tilt-0"), "{:?}", found[1].basis.names);
-    assert!(left_nm[0] > 20.0 * left_nm[1], "{left_nm:?}");
+    assert!(left_nm[0] > 10.0 * left_nm[1], "{left_nm:?}");
 }
 
 /// Petals behind a loop, in the mean of a sequence of retrieved wavefronts.
@@ -163,19 +157,24 @@ fn petals_are_static_modes_of_a_full_phase_estimate() {
         ("pupil.spider_width_m", "0.1"),
         ("pupil.spider_angles_deg", "[20, 80, 140]"),
         ("aberrations.petal_piston_rms_nm", "100"),
+        ("image.count", "8"),
     ];
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
-    let mut stepper = Stepper::new(&scene).unwrap();
-    let images = exposures(&mut stepper, 8);
-    let truth = stepper.simulator().truth();
-    let found = ["none", "piston"].map(|petals| {
+    let mut simulator = Simulator::new(&scene).unwrap();
+    let mut shots: Vec<Shot> = Vec::new();
+    let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sky.fits");
+    ao::write(&path, &simulator, &shots, &summary).unwrap();
+    let images = Images::read(&path, None).unwrap();
+    let [without, with] = ["none", "piston"].map(|petals| {
         let scene = scene.with_override("modes.petals", petals).unwrap();
         let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
-        let left_nm = cophase::metrics::residual_nm(&found.pupil, found.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap();
-        (left_nm, found.ncpa.sigma_nm)
+        (found.truth.as_ref().unwrap().1.rms_nm[1], found.ncpa.sigma_nm)
     });
-    println!("NCPA residual and error bar without and with petals, nm: {found:?}");
-    assert!(found[1].0 < 0.5 * found[0].0 && found[1].0 < 2.0 * found[1].1, "{found:?}");
+    println!("NCPA residual and error bar without and with petals, nm: {without:?} {with:?}");
+    // 6 nm in place of 80: steps of 100 nm are far above what the turbulence of eight images leaves.
+    assert!(with.0 < 0.2 * without.0 && with.0 < 2.0 * with.1, "{without:?} {with:?}");
 }
 
 #[test]

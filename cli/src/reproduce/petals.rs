@@ -257,8 +257,7 @@ impl PetalTable {
         let files = ["petals.csv", "petals.png"].map(|name| directory.join(name));
         self.table().write_csv(&files[0])?;
         self.picture().draw(&files[1])?;
-        let text = "Pistons of petals: residual and error bar of the draws that are right, nm\n"
-            .to_string()
+        let text = "Pistons of petals: residual and error bar of the draws that are right, nm\n".to_string()
             + &self.table().text();
         Ok(Report { text: text + "\n", files: files.to_vec() })
     }

@@ -136,7 +136,9 @@ impl Target {
             Target::ClosedLoop => {
                 "three rounds of images and corrections behind the zonal loop, and the Strehl ratio in K"
             }
-            Target::Petals => "pistons of petals up to 800 nm: residual and error bar in focus, out of focus and in two colours",
+            Target::Petals => {
+                "pistons of petals up to 800 nm: residual and error bar in focus, out of focus and in two colours"
+            }
         }
     }
 
