@@ -24,11 +24,12 @@ const FEW_AMPLITUDES_NM: [&str; 2] = ["100", "300"];
 const SINGLE: [(&str, &str); 2] = [("in focus", "0.02"), ("defocused", "1.5")];
 const TWO_COLOURS: &str = "two colours, one piece";
 /// Pixels at Nyquist sampling over the field of view of the preset, and 240 samples across the pupil: with 120 the steps of petals of 300 nm, at
-/// the nearest sample, are a misfit of 2.7 times the noise.
-const SETTINGS: [(&str, &str); 4] = [
+/// the nearest sample, are a misfit of 2.7 times the noise. Other models would not explain an image that has no diversity.
+const SETTINGS: [(&str, &str); 5] = [
     ("image.samples_per_lambda_over_d", "2"),
     ("image.pixels", "240"),
     ("estimate.samples", "240"),
+    ("estimate.model", "scene"),
     ("modes.petals", "piston"),
 ];
 /// A mirror of 8.2 m with an obscuration of 1.1 m and four vanes.
