@@ -14,12 +14,15 @@ use ndarray::{Array1, Array2, ArrayView1};
 use std::ops::Range;
 
 /// Settings that switch off all aberrations of the scene.
-const NO_ABERRATIONS: [(&str, &str); 6] = [
+const NO_ABERRATIONS: [(&str, &str); 9] = [
     ("aberrations.ncpa_file", ""),
     ("aberrations.segment_piston_rms_nm", "0.0"),
     ("aberrations.segment_tip_tilt_rms_nm", "0.0"),
     ("faults.segment_reflectivity_rms", "0.0"),
     ("aberrations.ncpa_rms_nm", "0.0"),
+    ("aberrations.petal_piston_rms_nm", ""),
+    ("aberrations.petal_tip_tilt_rms_nm", ""),
+    ("aberrations.petal_coefficients_nm", ""),
     ("faults.drift_nm_per_min", "0.0"),
 ];
 

@@ -69,6 +69,12 @@ impl ModalFitter {
 fn build_modes(scene: &Scene, arrays: &Arrays, recipe: &Recipe, telescope: &Telescope) -> Result<ModeSet> {
     let segment = segment_modes(scene, arrays)?;
     if let Some(maps) = &arrays.modes {
+        if scene.modes.petals != SegmentModes::None {
+            let word = scene.modes.petals.word();
+            return Err(Error::Value(format!(
+                "modes.petals = \"{word}\" has no meaning with modes as an array; leave one of them out"
+            )));
+        }
         return ModeSet::from_maps(segment, ncpa_from_maps(maps.clone(), arrays, telescope)?, recipe, &telescope.pupil);
     }
     if scene.modes.ncpa == NcpaBasis::Kl && scene.pupil.grid_m.is_none() {
@@ -76,7 +82,9 @@ fn build_modes(scene: &Scene, arrays: &Arrays, recipe: &Recipe, telescope: &Tele
                         default; \"zernike\" and \"none\" need none";
         return Err(Error::Scene(sentence.into()));
     }
-    let is_without_ncpa = scene.modes.ncpa == NcpaBasis::None && recipe.exact_zernikes == NollRange::None;
+    let is_without_ncpa = scene.modes.ncpa == NcpaBasis::None
+        && recipe.exact_zernikes == NollRange::None
+        && scene.modes.petals == SegmentModes::None;
     if segment == SegmentModes::None && is_without_ncpa {
         return Err(Error::Value(
             "there is no mode to estimate: give modes, a modes.ncpa other than \"none\", or the labels of segments with a \

@@ -82,7 +82,8 @@ impl NcpaModes {
             return Self::from_maps(from_file(&scene.resolve(file), &telescope.pupil)?, recipe, &telescope.pupil);
         }
         let pupil = &telescope.pupil;
-        let (mut smooth, dropped) = functions(scene, recipe, telescope, own)?;
+        let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
+        let mut smooth = with_petals(smooth, scene, telescope)?;
         let mut with_prior = None;
         if let (NollRange::Span { first, last }, Some(before)) = (recipe.prior_zernikes, &smooth) {
             let zernikes = modes::circle_zernikes(first, last, pupil)?;
@@ -213,6 +214,19 @@ fn functions(
         }
         (exact, own) => (exact.or(own), Vec::new()),
     })
+}
+
+/// `before`, then what the petals of `scene` add to them: the last piston, for instance, is in the span of the others and a piston of
+/// the pupil.
+fn with_petals(before: Option<SmoothBasis>, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
+    match (before, telescope.petals(scene.modes.petals)?) {
+        (before, None) => Ok(before),
+        (before, Some(petals)) => {
+            let petals = SmoothBasis::petals(petals);
+            let raw = before.map_or_else(|| petals.clone(), |before| before.followed_by(&petals));
+            Ok(Some(modes::orthonormalise(&raw, &telescope.pupil, SMALLEST_REMAINDER)?.basis))
+        }
+    }
 }
 
 /// Modes from a FITS file.

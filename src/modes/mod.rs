@@ -1,13 +1,13 @@
 //! Mode bases: segment motions, and the aberrations of the optics behind the segments.
 //!
-//! There are two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, or both) consists of functions and can be evaluated at
+//! There are two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, petals) consists of functions and can be evaluated at
 //! any point; a [`Basis`] (segment modes, modes from a file) consists of maps on the grid of the pupil. The unit of a
 //! coefficient is nm of piston of a segment, or nm RMS over the pupil (weight A).
 //!
 //! ```text
 //! Zernikes ───────────┐                     ┌ zernike_basis
-//!                     ├ SmoothBasis ────────┼ karhunen_loeve (VonKarman) ── join_exact ── .sampled(pupil) ┐
-//! InfluenceFunctions ─┘                     └ orthonormalise                                              ├ Basis
+//! InfluenceFunctions ─┼ SmoothBasis ────────┼ karhunen_loeve (VonKarman) ── join_exact ── .sampled(pupil) ┐
+//! Petals ─────────────┘                     └ orthonormalise                                              ├ Basis
 //! SegmentModes, files ────────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
@@ -19,6 +19,7 @@ mod karhunen_loeve;
 mod linalg;
 mod measured_influence;
 mod orthonormal;
+mod petals;
 mod report;
 mod samples;
 mod segment;
@@ -34,6 +35,7 @@ pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve, karhunen_loeve_at_most, 
 pub(crate) use linalg::symmetric_eigen;
 pub use measured_influence::MeasuredInfluence;
 pub use orthonormal::{DroppedMode, OrthonormalBasis, circle_zernikes, join_exact, orthonormalise, zernike_basis};
+pub use petals::Petals;
 pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
 pub use samples::Samples;
 pub use segment::SegmentModes;

@@ -74,7 +74,7 @@ impl SegmentModes {
 }
 
 /// Where the tip and the tilt of a segment are 0, and their unit.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct TiltFrame {
     /// Centroid (weight A), x and y, m. Shadows move it away from the centre.
     centroid_m: [f64; 2],

@@ -24,13 +24,15 @@ impl SeparableBasis {
     /// The modes of `basis` on `grid`.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] for modes of measured influence functions, which are no such products
+    /// [`crate::Error::Value`] for modes of measured influence functions or petals, which are no such products
     /// ([`SmoothBasis::is_separable`]).
     pub fn new(basis: &SmoothBasis, grid: Grid) -> Result<Self> {
+        let refusal = || {
+            let sentence = "measured influence functions and petals are no products of functions of x and of y: maps of them are needed";
+            Err(crate::Error::Value(sentence.into()))
+        };
         if !basis.is_separable() {
-            let sentence =
-                "measured influence functions are no products of functions of x and of y: maps of them are needed";
-            return Err(crate::Error::Value(sentence.into()));
+            return refusal();
         }
         let coordinates: Vec<f64> = (0..grid.samples()).map(|j| grid.coordinate_m(j)).collect();
         let (mut lines, mut groups, mut matrices) = (Vec::new(), Vec::new(), Vec::new());
@@ -55,6 +57,7 @@ impl SeparableBasis {
                     }
                     (line, products)
                 }
+                Functions::Petals(_) => return refusal(),
             };
             groups.push(line.nrows());
             lines.push(line);

@@ -1,8 +1,10 @@
 //! Bases of smooth modes, given as functions: they can be evaluated at any point, at the samples of the pupil, outside its
-//! edge (as the band-limited model needs) or on a finer grid.
+//! edge (as the band-limited model needs) or on a finer grid. Petals, which have steps behind the arms of the spider, are such functions,
+//! too.
 
 use super::basis::{Basis, Group};
 use super::influence::InfluenceFunctions;
+use super::petals::Petals;
 use super::samples::{Samples, check_lengths};
 use super::zernike::Zernikes;
 use crate::Result;
@@ -22,6 +24,8 @@ pub enum Functions {
     Zernike(Zernikes),
     /// Influence functions of a deformable mirror.
     Influence(InfluenceFunctions),
+    /// Piston, tip and tilt of the parts of the pupil.
+    Petals(Petals),
 }
 
 impl Functions {
@@ -29,6 +33,7 @@ impl Functions {
         match self {
             Functions::Zernike(zernikes) => zernikes.nolls().len(),
             Functions::Influence(influence) => influence.len(),
+            Functions::Petals(petals) => petals.len(),
         }
     }
 }
@@ -56,6 +61,11 @@ impl SmoothBasis {
         Self::raw(names, Functions::Influence(influence))
     }
 
+    /// The motions of the petals themselves, named `petal-piston-0` and so on.
+    pub fn petals(petals: Petals) -> Self {
+        Self::raw(petals.names(), Functions::Petals(petals))
+    }
+
     fn raw(names: Vec<String>, functions: Functions) -> Self {
         let count = functions.count();
         Self { names, functions: vec![functions], matrix: Array2::eye(count), offset: Array1::zeros(count) }
@@ -81,6 +91,7 @@ impl SmoothBasis {
         self.functions.iter().all(|functions| match functions {
             Functions::Zernike(_) => true,
             Functions::Influence(influence) => influence.is_separable(),
+            Functions::Petals(_) => false,
         })
     }
 
@@ -122,6 +133,7 @@ impl SmoothBasis {
             match functions {
                 Functions::Zernike(zernikes) => zernikes.fill(xs_m, ys_m, rows),
                 Functions::Influence(influence) => influence.fill(xs_m, ys_m, rows),
+                Functions::Petals(petals) => petals.fill(xs_m, ys_m, rows),
             }
             first += functions.count();
         }

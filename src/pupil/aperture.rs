@@ -1,5 +1,6 @@
 //! Geometry of the telescope's mirror: hexagonal or round segments, central obscuration, spiders.
 
+use super::parts::PupilParts;
 use super::polygon::{Point, Polygon};
 use super::sampled::Segment;
 use crate::hexagons::{DISC_SIDES, HexagonLayout, disc_vertices_m};
@@ -144,6 +145,13 @@ struct Arm {
 }
 
 impl Arm {
+    /// Where it goes from the centre, rad.
+    fn directions_rad(&self) -> impl Iterator<Item = f64> + use<> {
+        let [cos, sin] = self.direction;
+        let ends = [Some([cos, sin]), self.is_line.then_some([-cos, -sin])];
+        ends.into_iter().flatten().map(|[x, y]| y.atan2(x))
+    }
+
     /// The convex pieces of `polygon` beside the arm and, where it ends at the centre, behind it; empty ones among them.
     fn removed_from(&self, polygon: &Polygon) -> Vec<Polygon> {
         let Self { direction: [cos, sin], half_width_m, is_line } = *self;
@@ -194,6 +202,7 @@ impl SegmentShape {
 pub struct Aperture {
     segments: Vec<Segment>,
     shapes: Vec<SegmentShape>,
+    parts: PupilParts,
 }
 
 impl Aperture {
@@ -231,7 +240,8 @@ impl Aperture {
             }
             shapes.push(shape);
         }
-        Ok(Self { segments, shapes })
+        let directions_rad = spiders.iter().flat_map(Arm::directions_rad);
+        Ok(Self { segments, shapes, parts: PupilParts::between_arms(directions_rad) })
     }
 
     /// Keck's primary mirror: see [`HexagonalParameters::keck`].
@@ -242,6 +252,11 @@ impl Aperture {
     /// The segments, in order.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
+    }
+
+    /// The parts that the spider separates.
+    pub fn parts(&self) -> &PupilParts {
+        &self.parts
     }
 
     /// Illuminated area of each segment, m².

@@ -20,6 +20,8 @@ section! {
         ncpa: NcpaBasis, ANY, default(NcpaBasis::Kl);
         /// Number of modes of that basis; "zernike" starts at Noll index 2.
         ncpa_count: usize, between(1.0, 10_000.0), default(66usize);
+        /// Motions of each part of the pupil that the spider separates (petals), among the non-common path aberrations.
+        petals: SegmentModes, ANY, default(SegmentModes::None);
         /// FITS modes in place of a basis: image BASIS [mode, y, x] and table MODES (name, group).
         file: Option<PathBuf>, ANY, unset("the basis given by ncpa");
         /// Largest piston of a segment, about their mean, for which channels of several wavelengths find the whole wavelengths. Estimate only.
@@ -34,7 +36,7 @@ impl Check for ModesScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         if let Some(file) = &self.file {
             reader.not_both("ncpa", "file")?;
-            reader.refuse(&["ncpa_count"], "where modes come from a file")?;
+            reader.refuse(&["ncpa_count", "petals"], "where modes come from a file")?;
             self.ncpa = NcpaBasis::File(file.clone());
             if !reader.named("segment") {
                 self.segment = SegmentModes::None;
@@ -42,9 +44,10 @@ impl Check for ModesScene {
         }
         if self.ncpa == NcpaBasis::None {
             let exact = self.exact_zernikes.get_or_insert(NollRange::None);
-            let nothing_left = self.segment == SegmentModes::None && *exact == NollRange::None;
+            let is_without_parts = [self.segment, self.petals] == [SegmentModes::None; 2];
+            let nothing_left = is_without_parts && *exact == NollRange::None;
             if nothing_left && reader.source.purpose != Purpose::Arrays {
-                let sentence = "modes.segment and modes.ncpa are both \"none\": no mode is left to estimate; name a basis for one of them";
+                let sentence = "modes.segment, modes.ncpa and modes.petals are all \"none\": no mode is left to estimate; name a basis for one of them";
                 return Err(reader.error("ncpa", sentence));
             }
         }

@@ -9,10 +9,15 @@ pub(super) const FOCUS: [&str; 4] =
 /// What a file of the NCPA stands for.
 pub(super) const ZERNIKES: [&str; 3] = ["ncpa_rms_nm", "ncpa_zernikes", "ncpa_power_law"];
 
+/// What coefficients of the petals stand for.
+pub(super) const PETALS: [&str; 2] = ["petal_piston_rms_nm", "petal_tip_tilt_rms_nm"];
+
 /// The other forms of `key` of a section, which give way where it is set.
 pub(super) fn other_forms(section: &str, key: &str) -> Vec<&'static str> {
     match (section, key) {
         ("aberrations", "ncpa_file") => ZERNIKES.to_vec(),
+        ("aberrations", "petal_coefficients_nm") => PETALS.to_vec(),
+        ("aberrations", key) if PETALS.contains(&key) => vec!["petal_coefficients_nm"],
         ("image", key) => {
             let groups = [SAMPLING, FOCUS].into_iter().filter(|group| group.contains(&key));
             groups.flatten().filter(|other| *other != key).collect()

@@ -203,6 +203,14 @@ section! {
         /// FITS map of the non-common path aberrations in place of Zernike polynomials: nm, or the unit of its card BUNIT; over
         /// pupil.grid_m, or as GRID_M or PUPLSCAL say; with cards S01PISTN, ... also the segments' pistons and tilts.
         ncpa_file: Option<PathBuf>, ANY, unset("Zernike polynomials");
+        /// RMS of the pistons of the petals over the pupil. Petals are the parts of the pupil that the spider separates; their errors are
+        /// non-common path aberrations, in addition to the others.
+        petal_piston_rms_nm: f64, between(0.0, 1e6), default(0.0);
+        /// RMS of the tips and tilts of the petals over the pupil.
+        petal_tip_tilt_rms_nm: f64, between(0.0, 1e6), default(0.0);
+        /// Pistons of the petals, or all pistons, all tips and all tilts, in place of their RMS; tips and tilts are nm RMS over the petal.
+        /// Petals are counted by the direction of their centre, counter-clockwise from +x. The mean piston is removed.
+        petal_coefficients_nm: Option<Vec<f64>>, between(-1e6, 1e6), unset("drawn with the RMS above");
         /// Number of samples along a side of the grid on which the images are computed.
         truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 times pupil.samples, or the samples of pupil.file");
         /// Seed of the aberrations, and of the noise of an artificial source's images.
@@ -214,6 +222,9 @@ impl Check for AberrationScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         if self.ncpa_file.is_some() {
             reader.refuse(&forms::ZERNIKES, "where the non-common path aberrations come from a file")?;
+        }
+        for key in forms::PETALS {
+            reader.not_both(key, "petal_coefficients_nm")?;
         }
         if self.ncpa_rms_nm > 0.0 && self.ncpa_zernikes == NollRange::None {
             let rms_nm = self.ncpa_rms_nm;

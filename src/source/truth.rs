@@ -2,7 +2,7 @@
 
 use crate::modes::{SmoothBasis, Zernikes, noll_orders};
 use crate::pupil::Pupil;
-use crate::scene::{NollRange as Span, Scene};
+use crate::scene::{AberrationScene, NollRange as Span, Scene, SegmentModes};
 use crate::telescope::{MapOnGrid, OpdMap, Telescope};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -42,8 +42,8 @@ impl Truth {
     ///
     /// Pistons are normal, then shifted to zero mean and scaled to exactly the stated RMS over the segments. The NCPA
     /// are Zernike polynomials on the circle around the pupil. Their variances are proportional to the radial order to
-    /// the stated power; their sum is scaled to exactly the stated RMS over the pupil (weight A, piston removed). A map of NCPA whose
-    /// cards have the pistons and tilts of the segments gives those too.
+    /// the stated power; their sum is scaled to exactly the stated RMS over the pupil (weight A, piston removed). Petals are added to
+    /// them. A map of NCPA whose cards have the pistons and tilts of the segments gives those too.
     ///
     /// # Errors
     /// [`Error::File`] for an NCPA map that cannot be read, and one with cards of the segments where the scene draws these.
@@ -54,21 +54,9 @@ impl Truth {
         };
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
         let areas = telescope.pupil.segment_areas();
-        let whole: f64 = areas.iter().sum();
-        let mean = |values: &[f64]| values.iter().zip(&areas).map(|(v, a)| v * a).sum::<f64>() / whole;
-        // One normal number for each segment, with zero mean and the given RMS.
-        let for_each = |normal: &mut dyn FnMut() -> f64, rms: f64| {
-            let mut values: Vec<f64> = (0..segments).map(|_| normal()).collect();
-            let centre = mean(&values);
-            values.iter_mut().for_each(|p| *p -= centre);
-            let square: Vec<f64> = values.iter().map(|p| p * p).collect();
-            scale_to(&mut values, mean(&square).sqrt(), rms);
-            values
-        };
-        let piston_nm = for_each(&mut normal, aberrations.segment_piston_rms_nm);
-        let mut tilts: Vec<f64> = (0..2 * segments).map(|_| normal()).collect();
-        let square: Vec<f64> = tilts.chunks(2).map(|t| t[0] * t[0] + t[1] * t[1]).collect();
-        scale_to(&mut tilts, mean(&square).sqrt(), aberrations.segment_tip_tilt_rms_nm);
+        let mean = |values: &[f64]| weighted_mean(values, &areas);
+        let piston_nm = draw_pistons(&areas, aberrations.segment_piston_rms_nm, &mut normal);
+        let tilts = draw_tilts(&areas, aberrations.segment_tip_tilt_rms_nm, &mut normal);
         let tip_tilt_nm = tilts.chunks(2).map(|t| [t[0], t[1]]).collect();
         let mut planes = None;
         let (span, power) = (aberrations.ncpa_zernikes, aberrations.ncpa_power_law);
@@ -88,14 +76,15 @@ impl Truth {
             draw_zernikes(span, power, aberrations.ncpa_rms_nm, telescope, &mut normal)?
         };
         // Drawn last, so that the other draws of a seed do not depend on them.
-        let reflectivity = for_each(&mut normal, scene.faults.segment_reflectivity_rms);
+        let reflectivity = draw_pistons(&areas, scene.faults.segment_reflectivity_rms, &mut normal);
         let drift_nm = scene.faults.drift_nm_per_min;
         let drift = if drift_nm > 0.0 {
-            let pistons_nm = for_each(&mut normal, drift_nm);
+            let pistons_nm = draw_pistons(&areas, drift_nm, &mut normal);
             Some((pistons_nm, draw_zernikes(span, power, drift_nm, telescope, &mut normal)?))
         } else {
             None
         };
+        let ncpa = ncpa.plus(draw_petals(aberrations, telescope, &mut normal)?);
         let (piston_nm, tip_tilt_nm) = match planes {
             Some(planes) => {
                 let mut piston_nm: Vec<f64> = planes.iter().map(|plane| plane[0]).collect();
@@ -163,11 +152,7 @@ impl Truth {
             return Err(Error::Value(format!("a coefficient of {nm} nm is impossible; a finite number is needed")));
         }
         let added = Ncpa::Modes { basis, coefficients_nm, offset_nm: 0.0 };
-        let ncpa = match self.ncpa {
-            Ncpa::None => added,
-            before => Ncpa::Sum(Box::new(before), Box::new(added)),
-        };
-        let more = Self::assemble(telescope, self.piston_nm, self.tip_tilt_nm, ncpa)?;
+        let more = Self::assemble(telescope, self.piston_nm, self.tip_tilt_nm, self.ncpa.plus(added))?;
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..more })
     }
 
@@ -244,6 +229,14 @@ impl Truth {
 }
 
 impl Ncpa {
+    /// The sum of both.
+    fn plus(self, other: Self) -> Self {
+        match (self, other) {
+            (Ncpa::None, only) | (only, Ncpa::None) => only,
+            (one, other) => Ncpa::Sum(Box::new(one), Box::new(other)),
+        }
+    }
+
     fn at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
         Ok(match self {
             Ncpa::None => vec![0.0; xs_m.len()],
@@ -270,6 +263,60 @@ fn segment_radius_rms(telescope: &Telescope) -> f64 {
         (weight, square) = (weight + a, square + a * (x * x + y * y) / 2.0);
     }
     (square / weight).sqrt()
+}
+
+fn weighted_mean(values: &[f64], areas: &[f64]) -> f64 {
+    let whole: f64 = areas.iter().sum();
+    values.iter().zip(areas).map(|(v, a)| v * a).sum::<f64>() / whole
+}
+
+/// A normal number for each of the parts of a pupil with these areas, with zero mean and the given RMS over the pupil.
+fn draw_pistons(areas: &[f64], rms: f64, normal: &mut dyn FnMut() -> f64) -> Vec<f64> {
+    let mut values: Vec<f64> = areas.iter().map(|_| normal()).collect();
+    let centre = weighted_mean(&values, areas);
+    values.iter_mut().for_each(|p| *p -= centre);
+    let square: Vec<f64> = values.iter().map(|p| p * p).collect();
+    scale_to(&mut values, weighted_mean(&square, areas).sqrt(), rms);
+    values
+}
+
+/// A tip and a tilt for each of these parts in turn, with the given RMS over the pupil.
+fn draw_tilts(areas: &[f64], rms: f64, normal: &mut dyn FnMut() -> f64) -> Vec<f64> {
+    let mut tilts: Vec<f64> = (0..2 * areas.len()).map(|_| normal()).collect();
+    let square: Vec<f64> = tilts.chunks(2).map(|t| t[0] * t[0] + t[1] * t[1]).collect();
+    scale_to(&mut tilts, weighted_mean(&square, areas).sqrt(), rms);
+    tilts
+}
+
+/// Petals of `aberrations`, given or drawn.
+fn draw_petals(aberrations: &AberrationScene, telescope: &Telescope, normal: &mut dyn FnMut() -> f64) -> Result<Ncpa> {
+    let [piston_nm, tilt_nm] = [aberrations.petal_piston_rms_nm, aberrations.petal_tip_tilt_rms_nm];
+    let given = aberrations.petal_coefficients_nm.as_ref();
+    if given.is_none() && piston_nm == 0.0 && tilt_nm == 0.0 {
+        return Ok(Ncpa::None);
+    }
+    let Some(petals) = telescope.petals(SegmentModes::PistonTipTilt)? else { return Ok(Ncpa::None) };
+    let count = petals.shares().len();
+    let coefficients_nm = match given {
+        Some(given) if given.len() == count => given.iter().copied().chain(vec![0.0; 2 * count]).collect(),
+        Some(given) if given.len() == 3 * count => given.clone(),
+        Some(given) => {
+            return Err(Error::Scene(format!(
+                "aberrations.petal_coefficients_nm has {} numbers; {count}, a piston for each part of the pupil, or {}, with tips and \
+                 tilts, are needed",
+                given.len(),
+                3 * count
+            )));
+        }
+        None => {
+            let pistons = draw_pistons(petals.shares(), piston_nm, normal);
+            let tilts = draw_tilts(petals.shares(), tilt_nm, normal);
+            let tips = tilts.iter().step_by(2).chain(tilts.iter().skip(1).step_by(2));
+            pistons.iter().chain(tips).copied().collect::<Vec<f64>>()
+        }
+    };
+    let offset_nm = -weighted_mean(&coefficients_nm[..count], petals.shares());
+    Ok(Ncpa::Modes { basis: SmoothBasis::petals(petals), coefficients_nm, offset_nm })
 }
 
 fn scale_to(values: &mut [f64], rms: f64, wanted: f64) {

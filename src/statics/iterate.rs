@@ -209,17 +209,17 @@ impl<'a> IterativeEstimate<'a> {
     /// Takes the next basis of the ladder where the NCPA extend beyond the current one; returns whether it did.
     fn take_finer_basis(&mut self) -> Result<bool> {
         let Some(last) = self.iterations.last() else { return Ok(false) };
-        let groups = self.modes.groups.len();
+        let orders = self.modes.orders;
         // Without telemetry turbulence that did not average extends beyond the modes, too.
-        let extends_beyond = self.has_telemetry() && last.errors.highest_groups_rms_nm(groups) > EXTENDS_BEYOND_NM;
+        let extends_beyond = self.has_telemetry() && last.errors.highest_groups_rms_nm(orders) > EXTENDS_BEYOND_NM;
         // NCPA that extend beyond the coarsest basis fall slowly: they extend beyond the next, even where its highest modes show
         // little.
         let is_refined = last.family != self.settings.families[0];
         self.beyond_modes_nm =
-            if extends_beyond || is_refined { last.errors.extrapolated_ncpa_nm(groups) } else { 0.0 };
+            if extends_beyond || is_refined { last.errors.extrapolated_ncpa_nm(orders) } else { 0.0 };
         if extends_beyond && let Some(&family) = self.finer.next() {
             let modes = self.estimator.static_modes(family)?;
-            if modes.groups.len() > groups {
+            if modes.orders > orders {
                 self.modes = modes;
                 return Ok(true);
             }

@@ -27,12 +27,17 @@ pub enum NcpaFamily {
     Mirror,
 }
 
+/// A motion of a petal is left out where the other modes span all but this fraction of it.
+const SMALLEST_PETAL_REMAINDER: f64 = 1e-3;
+
 /// NCPA modes and their groups.
 pub struct NcpaBasis {
     /// The modes.
     pub modes: SmoothBasis,
-    /// Number of modes in each group, in turn; the first group is tip and tilt.
+    /// Number of modes in each group, in turn; the first group is tip and tilt, and the last, where there are petals, theirs.
     pub groups: Vec<usize>,
+    /// Number of groups without that of the petals.
+    pub orders: usize,
 }
 
 impl NcpaBasis {
@@ -41,13 +46,22 @@ impl NcpaBasis {
     /// # Errors
     /// Those of making the bases.
     pub fn new(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<Self> {
+        let basis = Self::without_petals(family, scene, telescope)?;
+        let Some(petals) = telescope.petals(scene.modes.petals)? else { return Ok(basis) };
+        let (petals, pupil) = (SmoothBasis::petals(petals), &telescope.pupil);
+        let modes = modes::join_exact(&basis.modes, &petals, pupil, SMALLEST_PETAL_REMAINDER)?.basis;
+        let added = modes.len() - basis.modes.len();
+        Ok(Self { modes, groups: [basis.groups, vec![added]].concat(), orders: basis.orders })
+    }
+
+    fn without_petals(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<Self> {
         let orders = |last: usize| (1..=last).map(|order| order + 1).collect::<Vec<_>>();
         // Orders 1 to n hold Noll's 2 to (n + 1)(n + 2)/2.
         let zernikes = |last: usize| modes::zernike_basis(2, (last + 1) * (last + 2) / 2, &telescope.pupil);
         match family {
             NcpaFamily::Zernike { highest_order: wanted } => {
                 let order = highest_order(scene, wanted);
-                Ok(Self { modes: zernikes(order)?, groups: orders(order) })
+                Ok(Self { modes: zernikes(order)?, groups: orders(order), orders: order })
             }
             NcpaFamily::Mirror => {
                 let (influence, turbulence) = (telescope.influence(scene)?, Telescope::turbulence(scene)?);
@@ -63,7 +77,7 @@ impl NcpaBasis {
                     groups.push(left.min(size));
                     left -= left.min(size);
                 }
-                Ok(Self { modes: basis, groups })
+                Ok(Self { modes: basis, orders: groups.len(), groups })
             }
         }
     }

@@ -20,6 +20,8 @@ pub(super) struct StaticModes {
     pub(super) family: NcpaFamily,
     pub(super) basis: SmoothBasis,
     pub(super) groups: Vec<usize>,
+    /// Number of groups without that of the petals.
+    pub(super) orders: usize,
     pub(super) at_all: Array2<f64>,
     pub(super) at_kept: Array2<f64>,
     /// All static modes on the scene's grid, those of the segments first, `[mode, y, x]`.
@@ -53,7 +55,7 @@ impl StaticModes {
         (samples, kept): (&IlluminatedSamples, &[usize]),
         is_loop_known: bool,
     ) -> Result<Self> {
-        let NcpaBasis { modes: basis, groups } = NcpaBasis::new(family, scene, telescope)?;
+        let NcpaBasis { modes: basis, groups, orders } = NcpaBasis::new(family, scene, telescope)?;
         let at_all = basis.evaluate(&samples.xs_m, &samples.ys_m)?;
         let pupil = &telescope.pupil;
         let sampled = basis.sampled(pupil)?;
@@ -80,6 +82,7 @@ impl StaticModes {
             basis,
             family,
             groups,
+            orders,
             at_kept: at_all.select(Axis(1), kept),
             at_all,
             maps,

@@ -12,6 +12,7 @@ mod map_on_grid;
 mod mirror;
 mod model;
 mod opd;
+mod petals;
 mod pixels;
 mod places;
 mod spectrum;

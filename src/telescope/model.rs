@@ -3,7 +3,7 @@
 use crate::grid::Grid;
 use crate::io;
 use crate::modes::VonKarman;
-use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, SegmentWeights};
+use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, PupilParts, SegmentWeights};
 use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, Scene};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -210,6 +210,15 @@ impl Telescope {
                 self.pupil.grid.samples(),
                 grid.samples()
             ))),
+        }
+    }
+
+    /// Parts of the pupil that its spider separates, on the finest known grid.
+    pub(super) fn parts(&self) -> PupilParts {
+        match &self.source {
+            PupilSource::Exact(aperture) => aperture.parts().clone(),
+            PupilSource::Fine(fine) => PupilParts::of_maps(fine.pupil()),
+            PupilSource::Coarse => PupilParts::of_maps(&self.pupil),
         }
     }
 

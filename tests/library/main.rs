@@ -23,6 +23,7 @@ mod night;
 mod night_channels;
 mod observation;
 mod orientation;
+mod petals;
 mod planner;
 mod progress;
 mod pupil;

@@ -4,7 +4,8 @@ use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
     ChannelRow, CheckRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows,
-    channels, checks, closed_loop, diversity, hard_cases, image_numbers, night, observations, on_sky, pulls, samples,
+    channels, checks, closed_loop, diversity, hard_cases, image_numbers, night, observations, on_sky, petals, pulls,
+    samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::pipeline::Part;
@@ -50,11 +51,13 @@ pub enum Target {
     Night,
     /// Estimate, correct, repeat, behind a loop.
     ClosedLoop,
+    /// Pistons of the parts of a pupil behind a spider.
+    Petals,
 }
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 18] = [
+    pub const ALL: [Target; 19] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -73,6 +76,7 @@ impl Target {
         Target::Observations,
         Target::Night,
         Target::ClosedLoop,
+        Target::Petals,
     ];
 
     /// The figures of section 4 that are neither the table's nor that of the number of images.
@@ -99,6 +103,7 @@ impl Target {
             Target::Observations => "observations",
             Target::Night => "night",
             Target::ClosedLoop => "closed-loop",
+            Target::Petals => "petals",
         }
     }
 
@@ -133,6 +138,9 @@ impl Target {
             Target::ClosedLoop => {
                 "three rounds of images and corrections behind the zonal loop, and the Strehl ratio in K"
             }
+            Target::Petals => {
+                "pistons of petals up to 800 nm: residual and error bar in focus, out of focus and in two colours"
+            }
         }
     }
 
@@ -142,7 +150,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
-            Target::Samples | Target::HardCases | Target::Observations | Target::Checks => 8,
+            Target::Samples | Target::HardCases | Target::Observations | Target::Checks | Target::Petals => 8,
             Target::Diversity => 6,
             // Nights without jumps, for the false alarms: 50 of one each are known to 14 %.
             Target::Night => 50,
@@ -205,6 +213,7 @@ impl Target {
                 | Target::Strehl
                 | Target::Psd
                 | Target::Night
+                | Target::Petals
                 | Target::Beyond
         )
     }
@@ -247,6 +256,7 @@ impl Target {
             Target::Observations => run.end(observations(seeds, progress)?, |found, to| found.report(to)),
             Target::Night => run.end(night(seeds, quick, progress)?, |found, to| found.report(to)),
             Target::ClosedLoop => run.end(closed_loop(seeds, progress)?, |found, to| found.report(to)),
+            Target::Petals => run.end(petals(seeds, quick, progress)?, |found, to| found.report(to)),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
                 let directory = &options.directory;
