@@ -219,6 +219,14 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the mirror. */
 #define COPHASE_TEXT_ACTUATOR_COMMAND_NAME 13
 
+/* Text of an estimate, after cophase_estimate_correct: why piston `index`, then tip, then tilt of the segments is held: deadband, no-benefit
+ * or never-corrected; empty for one that moves.
+ */
+#define COPHASE_TEXT_SEGMENT_HELD 14
+
+/* Text of an estimate, after cophase_estimate_correct: the same of NCPA mode `index`. */
+#define COPHASE_TEXT_NCPA_HELD 15
+
 /* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
  * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
  */
@@ -625,7 +633,7 @@ cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
 #define COPHASE_ARRAY_CORRECTION_ACTUATORS_M 9
 
 /* Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
- * then along y; slopes. It keeps the mirror where the corrections put it. Empty in a modal estimate.
+ * then along y; slopes. The loop then puts the correction on the mirror. Without elements in a modal estimate, and without measured slopes.
  */
 #define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
 
@@ -774,7 +782,7 @@ typedef struct {
   size_t segments;
   /* Number of the mirror's actuators; 0 where the scene names no mirror. */
   size_t actuators;
-  /* Number of slopes of the wavefront sensor; 0 without a loop in the scene, and in a modal estimate. */
+  /* Number of slopes of the wavefront sensor; 0 where no slopes were measured, and in a modal estimate. */
   size_t slopes;
   /* NCPA modes that are corrected. */
   size_t corrected_modes;
@@ -786,12 +794,23 @@ typedef struct {
   size_t actuator_commands;
   /* Tips and tilts of segments that are corrected, two of each; 0 where there are none. */
   size_t tilts;
+  /* NCPA modes, corrected or held. */
+  size_t ncpa_modes;
+  /* Pistons, tips and tilts of segments that are held. */
+  size_t held_segment_modes;
+  /* NCPA modes that are held. */
+  size_t held_ncpa_modes;
+  /* Expected drop of the sum of squares of the segment modes (of the steps at edges by the convention edge-minimising), nm2. */
+  double segments_drop_nm2;
+  /* Expected drop of the sum of squares of the NCPA modes, nm2. */
+  double ncpa_drop_nm2;
 } cophase_correction_report;
 
 /* Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
  * the controllers that the scene describes. The scene's section [commands] has gain, deadband and convention; errors whose correction is not
  * expected to lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About a second at the size of Keck
- * where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
+ * where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a
+ * mode is held.
  *
  * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
  * wavelengths are known). The limits of the controllers' channels hold in addition.
