@@ -307,9 +307,11 @@ static void check_held(const cophase_estimate *estimate, const cophase_correctio
     for (i = 0; i < 2; i++) {
         size_t found = 0;
         char word[32];
+        size_t length;
 
         for (k = 0; k < modes[i]; k++) {
-            CHECK(cophase_estimate_text(estimate, texts[i], k, word, sizeof word, NULL) == COPHASE_OK);
+            CHECK(cophase_estimate_text(estimate, texts[i], k, word, sizeof word, &length) == COPHASE_OK);
+            CHECK(length == strlen(word));
             CHECK(word[0] == '\0' || strcmp(word, "deadband") == 0 || strcmp(word, "no-benefit") == 0 ||
                   strcmp(word, "never-corrected") == 0);
             found += word[0] != '\0';

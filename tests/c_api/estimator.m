@@ -90,7 +90,7 @@ assert(e.sigma_nm, sqrt(diag(e.covariance_nm2)), -1e-12);
 assert(class(e.phasing_nm), 'double');
 assert(~isempty(strfind(e.error_budget{1, 1}, 'noise')));
 budget_nm = cell2mat(e.error_budget(:, 2:3));
-assert(sqrt(sum(budget_nm .^ 2)), [e.info.phasing_sigma_nm, e.info.ncpa_sigma_nm], -1e-9);
+assert(sqrt(sum(budget_nm .^ 2, 1)), [e.info.phasing_sigma_nm, e.info.ncpa_sigma_nm], -1e-9);
 assert(~isempty(strfind(e.report(), 'phasing')) && ~isempty(strfind(e.scene, '[image]')));
 % Four exposures leave 8 of 60 and 7 of 50 nm: less than half.
 found = {e.phasing_nm, e.ncpa_nm};

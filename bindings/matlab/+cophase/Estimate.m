@@ -169,9 +169,8 @@ classdef Estimate < cophase.Handle
                 'slopes_mas', self.array('CORRECTION_SLOPES_MAS', found.slopes), ...
                 'corrected_modes', found.corrected_modes, 'limited', found.limited, ...
                 'segments_drop_nm2', found.segments_drop_nm2, 'ncpa_drop_nm2', found.ncpa_drop_nm2);
-            held = @(name, count) arrayfun(@(index) self.text(name, index), (1:count)', 'UniformOutput', false);
-            result.segments_held = held('SEGMENT_HELD', found.segments + found.tilts);
-            result.ncpa_held = held('NCPA_HELD', found.ncpa_modes);
+            result.segments_held = self.texts('SEGMENT_HELD', found.segments + found.tilts);
+            result.ncpa_held = self.texts('NCPA_HELD', found.ncpa_modes);
             result.segment_commands = self.commands('SEGMENT', found.segment_commands);
             result.actuator_commands = self.commands('ACTUATOR', found.actuator_commands);
         end
@@ -213,13 +212,18 @@ classdef Estimate < cophase.Handle
             text = cophase_mex('estimate.text', self.id, what, index);
         end
 
+        function found = texts(self, what, count)
+            % A cell for each of `count` texts.
+            found = arrayfun(@(index) self.text(what, index), (1:count)', 'UniformOutput', false);
+        end
+
         function values = array(self, what, count)
             values = cophase_mex('estimate.array', self.id, what, count);
         end
 
         function result = commands(self, what, count)
             % Names of the channels of a controller, and what to add to each.
-            names = arrayfun(@(k) self.text([what '_COMMAND_NAME'], k), (1:count)', 'UniformOutput', false);
+            names = self.texts([what '_COMMAND_NAME'], count);
             add = num2cell(self.array(['CORRECTION_' what '_COMMANDS'], count));
             result = struct('name', names, 'add', add(:));
         end
