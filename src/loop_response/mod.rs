@@ -11,7 +11,6 @@ mod sensor_model;
 mod serial_correlation;
 mod slope_information;
 mod slope_regression;
-mod slope_response;
 
 pub use closed_loop::ClosedLoopResponse;
 pub use controller::{Command, Commands};
@@ -20,4 +19,3 @@ pub use corrections::{CorrectableErrors, Corrections, ModeCorrection, NcpaModes}
 pub use sensor_model::SensorModel;
 pub use slope_information::SlopeInformation;
 pub use slope_regression::{ACCEPTED_GAIN, SlopeRegression, TelemetryFault, USUAL_GAIN};
-pub use slope_response::SlopeResponse;

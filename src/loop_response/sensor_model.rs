@@ -7,7 +7,6 @@
 use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::{SlopeRegression, slope_gain};
-use super::slope_response::SlopeResponse;
 use crate::ao::{Footprint, Lenslets, Sensor, sensor_pupil};
 use crate::machine;
 use crate::modes::{Samples, SmoothBasis};
@@ -46,8 +45,6 @@ pub struct SensorModel {
     response: Option<SensorResponse>,
     /// Measured slopes over those of the wavefronts: turbulence that an exposure averages, and a retrieval does not resolve, blurs spots further.
     gain: f64,
-    /// Coefficients of the last NCPA, nm, and the mean slopes of their opposite over the images, mas.
-    opposite: Option<(Vec<f64>, Array1<f64>)>,
 }
 
 impl SensorModel {
@@ -89,7 +86,6 @@ impl SensorModel {
             slopes_mas: vec![0.0; sensor.slopes()],
             response: None,
             gain: 1.0,
-            opposite: None,
             sensor,
             footprint,
         })
@@ -100,11 +96,10 @@ impl SensorModel {
         self.slopes_mas.len()
     }
 
-    /// Slopes of NCPA as they would be measured during the exposures; `None` before [`SensorModel::ncpa_information`].
-    pub fn slope_response(&self) -> Option<SlopeResponse> {
-        let ((ncpa_nm, opposite_mas), response) = (self.opposite.as_ref()?, self.response.as_ref()?);
-        let response_mas = &response.response_mas * self.gain;
-        Some(SlopeResponse { response_mas, ncpa_nm: ncpa_nm.clone(), opposite_mas: opposite_mas * self.gain })
+    /// Slopes for 1 nm of each mode as they would be measured during the exposures, `[mode, slope]`, mas; `None` before
+    /// [`SensorModel::ncpa_information`].
+    pub fn response_mas(&self) -> Option<Array2<f64>> {
+        self.response.as_ref().map(|response| &response.response_mas * self.gain)
     }
 
     /// Compares the slopes measured during each exposure (`[image, slope]`, mas) with those of the images' wavefronts (`[image,
@@ -190,13 +185,10 @@ impl SensorModel {
             Some(known) => known,
             None => SensorResponse::new(self.measure_response(segments_nm, &rests_nm)?),
         };
-        let (mut expected_mas, mut opposite_mas) = (Array2::zeros((images, slopes)), Array1::zeros(slopes));
+        let mut expected_mas = Array2::zeros((images, slopes));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
-            let seen_mas = self.measure(segments_nm, rest_nm.view())?;
-            opposite_mas += &(self.measure(segments_nm, (rest_nm - &known_nm).view())? - &seen_mas);
-            expected_mas.row_mut(image).assign(&seen_mas);
+            expected_mas.row_mut(image).assign(&self.measure(segments_nm, rest_nm.view())?);
         }
-        self.opposite = Some((ncpa_nm.to_vec(), opposite_mas / images as f64));
         self.gain = slope_gain(expected_mas.view(), slopes_mas);
         // In units of the expected slopes, in which the response was measured.
         let difference_mas = expected_mas - &slopes_mas / self.gain;

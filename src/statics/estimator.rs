@@ -13,7 +13,7 @@ use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
 use super::wavefront_source::WavefrontSource;
-use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation, SlopeResponse};
+use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
 use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
 use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
@@ -201,9 +201,9 @@ impl<'a> StaticsEstimator<'a> {
         Ok(errors)
     }
 
-    /// Response of the wavefront sensor to the NCPA of the last estimate.
-    pub(super) fn slope_response(&self) -> Option<Arc<SlopeResponse>> {
-        self.last.as_ref()?.sensor.as_ref()?.slope_response().map(Arc::new)
+    /// Slopes for 1 nm of each NCPA mode during the exposures, as [`SensorModel::response_mas`], of the last estimate.
+    pub(super) fn slope_response_mas(&self) -> Option<Arc<Array2<f64>>> {
+        self.last.as_ref()?.sensor.as_ref()?.response_mas().map(Arc::new)
     }
 
     /// The linear model of a mean wavefront of `covariance`.

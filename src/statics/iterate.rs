@@ -136,7 +136,7 @@ impl<'a> IterativeEstimate<'a> {
         let uncompensated_nm = self.estimator.uncompensated_nm(&errors);
         let iteration =
             self.modes.iteration((errors, uncompensated_nm), pupil, self.input.clone(), &images, residual.rms_nm())?;
-        let iteration = Iteration { slope_response: self.estimator.slope_response(), ..iteration };
+        let iteration = Iteration { slope_response_mas: self.estimator.slope_response_mas(), ..iteration };
         let next = self.acceleration.next_input();
         let about = self.estimator.static_wavefront(&self.modes, &next, &iteration.errors)?;
         self.iterations.push(iteration);

@@ -5,7 +5,7 @@ use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::segment_tilts::SegmentTilts;
 use super::static_errors::StaticErrors;
 use crate::Result;
-use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes, SlopeResponse};
+use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
 use crate::modal::{DiversityProjection, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::Scene;
@@ -46,8 +46,8 @@ pub struct Iteration {
     /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
     /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
-    /// Response of the wavefront sensor to the NCPA; `None` without measured slopes.
-    pub slope_response: Option<Arc<SlopeResponse>>,
+    /// Slopes of the wavefront sensor for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas; `None` without measured slopes.
+    pub slope_response_mas: Option<Arc<Array2<f64>>>,
 }
 
 impl Iteration {
@@ -109,7 +109,7 @@ impl Iteration {
             ncpa_sigma_nm: &self.sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
             has_ncpa_corrector: scene.has_mirror(),
-            slope_response: self.slope_response.as_deref(),
+            slope_response_mas: self.slope_response_mas.as_deref(),
         };
         Corrections::new(scene, &errors, limit_nm)
     }

@@ -154,7 +154,7 @@ impl StaticModes {
             reduced_chi2: images.reduced_chi2,
             residual_rms_nm,
             segment_tilts: None,
-            slope_response: None,
+            slope_response_mas: None,
             phasing_nm,
             ncpa_nm,
             errors,

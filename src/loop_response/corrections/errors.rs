@@ -1,7 +1,6 @@
 //! Errors that are to be corrected, and which of their modes are: the scene's policy.
 
 use crate::Result;
-use crate::loop_response::SlopeResponse;
 use crate::loop_response::segment_layout::{common_directions, edges, projection_without};
 use crate::modes::SmoothBasis;
 use crate::pupil::Segment;
@@ -30,8 +29,9 @@ pub struct CorrectableErrors<'a> {
     pub ncpa: NcpaModes<'a>,
     /// Whether something takes NCPA: a mirror, or reference slopes. Without, they are left.
     pub has_ncpa_corrector: bool,
-    /// Response of the wavefront sensor to the NCPA; `None` where no slopes were measured.
-    pub slope_response: Option<&'a SlopeResponse>,
+    /// Slopes for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas: turbulence blurs the spots of lenslets, whose slopes then
+    /// change less. `None` where no slopes were measured.
+    pub slope_response_mas: Option<&'a Array2<f64>>,
 }
 
 /// Modes of the NCPA.
@@ -155,7 +155,7 @@ mod tests {
                 ncpa_sigma_nm: &[],
                 ncpa: NcpaModes::Maps(&map_nm),
                 has_ncpa_corrector: true,
-                slope_response: None,
+                slope_response_mas: None,
             };
             errors.correction(&CorrectionPolicy::default(), &segments).unwrap()
         };

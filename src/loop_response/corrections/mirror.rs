@@ -44,3 +44,10 @@ fn without_pointing(pupil: &Pupil, samples: &Samples, map_nm: &Array2<f64>) -> R
     let flat_nm = pupil.remove_piston_tip_tilt(map_nm.view())?;
     Ok(samples.indices.iter().map(|&at| flat_nm[[at / columns, at % columns]]).collect())
 }
+
+/// Increments of the sensor's reference slopes with which the loop puts the opposite of the NCPA `ncpa_nm` on the mirror, mas, by the response of
+/// the slopes for 1 nm of each mode, `[mode, slope]`.
+pub(super) fn reference_slopes(response_mas: &Array2<f64>, ncpa_nm: &[f64]) -> Vec<f64> {
+    // A zero of either sign is written as 0.
+    (0.0 - ArrayView1::from(ncpa_nm).dot(response_mas)).to_vec()
+}
