@@ -179,17 +179,19 @@ impl SensorModel {
             interpolated(&self.interpolation, smooth_nm.view()) - &known_nm
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
-        // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
-        // iterations end where the differences vanish, for any response.
-        let response = match self.response.take() {
-            Some(known) => known,
-            None => SensorResponse::new(self.measure_response(segments_nm, &rests_nm)?),
-        };
         let mut expected_mas = Array2::zeros((images, slopes));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
             expected_mas.row_mut(image).assign(&self.measure(segments_nm, rest_nm.view())?);
         }
-        self.gain = slope_gain(expected_mas.view(), slopes_mas);
+        // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
+        // iterations end where the differences vanish, for any response.
+        let response = match self.response.take() {
+            Some(known) => known,
+            None => {
+                self.gain = slope_gain(expected_mas.view(), slopes_mas);
+                SensorResponse::new(self.measure_response(segments_nm, &rests_nm)?)
+            }
+        };
         // In units of the expected slopes, in which the response was measured.
         let difference_mas = expected_mas - &slopes_mas / self.gain;
         let information = response.information(difference_mas.view(), ncpa_nm)?;

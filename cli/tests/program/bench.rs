@@ -97,7 +97,7 @@ fn what_cannot_be_measured_is_named() {
         (vec!["--optimizer", "bfgs"], "'bfgs' has no session: gauss-newton or paper"),
         (vec!["--batch", "0"], "'0' images: 1 to 65536"),
         (vec!["--precision", "f16"], "f32 or f64"),
-        (vec!["--device", "cuda"], "auto, cpu, opencl or opencl:P:D"),
+        (vec!["--device", "cuda"], "auto, cpu, all, opencl or opencl:P:D"),
         (vec!["--images", "0"], "1..=1000"),
     ] {
         let done = desk.run(&[&["bench", "scene.toml"][..], &options].concat());

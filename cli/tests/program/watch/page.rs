@@ -110,7 +110,9 @@ fn the_page_and_its_json_show_the_frames() {
     let history = site.json("/api/segments/1?limit=2");
     assert_eq!(history["history"].as_array().unwrap().len(), 2);
     assert_eq!(site.json("/api/trend")["time_s"].as_array().unwrap().len(), 3);
-    assert!(site.json("/api/refused")["refused"][0]["reason"].as_str().unwrap().contains("text.fits"));
+    let refused = &site.json("/api/refused")["refused"][0];
+    assert!(refused["name"].as_str().unwrap().contains("text.fits"), "{refused}");
+    assert!(!refused["reason"].as_str().unwrap().contains("text.fits"), "{refused}");
     assert!(!site.json("/api/ncpa")["nm"].as_array().unwrap().is_empty());
     assert!(!site.json("/api/image")["residual_sigma"].as_array().unwrap().is_empty());
     assert!(site.json("/api/events")["events"].as_array().unwrap().is_empty());
