@@ -227,6 +227,9 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate, after cophase_estimate_correct: the same of NCPA mode `index`. */
 #define COPHASE_TEXT_NCPA_HELD 15
 
+/* Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one sentence a line. */
+#define COPHASE_TEXT_CORRECTION_WARNINGS 16
+
 /* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
  * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
  */

@@ -41,7 +41,7 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
     let mut file = FitsWriter::create(path)?;
     for (number, shots) in &channels {
         let hdu = file::channel_images(&mut file, scene, *number, &images_e(shots)?, summary.flux_e[*number])?;
-        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let seed = scene.seed();
         file::seed_card(&mut file, &hdu, "SEED", seed, "seed of the aberrations")?;
         file::seed_card(&mut file, &hdu, "SEED_SKY", scene.turbulence.seed, "seed of the turbulence and of the noise")?;
     }

@@ -74,7 +74,7 @@ impl Simulator {
     /// exposures; the errors of building each part.
     pub fn new(scene: &Scene) -> Result<Self> {
         let telescope = Telescope::new(scene)?;
-        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let seed = scene.seed();
         let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
         Self::with_truth(scene, telescope, truth)
     }

@@ -378,6 +378,7 @@ pub unsafe extern "C" fn cophase_estimate_text(
                     .held
                     .map_or("", |why| why.word())
                     .into(),
+                COPHASE_TEXT_CORRECTION_WARNINGS => corrected(&found.corrections)?.warnings.join("\n"),
                 COPHASE_TEXT_ERROR_TERM_NAME => at(&estimate.error_budget, index, "terms")?.name.clone(),
                 other => {
                     let known = "a COPHASE_TEXT_ number of estimates is accepted";

@@ -35,6 +35,8 @@ pub const COPHASE_TEXT_ACTUATOR_COMMAND_NAME: i32 = 13;
 pub const COPHASE_TEXT_SEGMENT_HELD: i32 = 14;
 /// Text of an estimate, after cophase_estimate_correct: the same of NCPA mode `index`.
 pub const COPHASE_TEXT_NCPA_HELD: i32 = 15;
+/// Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one sentence a line.
+pub const COPHASE_TEXT_CORRECTION_WARNINGS: i32 = 16;
 
 /// Element `index`.
 ///

@@ -72,7 +72,7 @@ impl SentCorrections {
     /// As [`SentCorrections::apply`] and [`Simulator::with_moved_reference`].
     pub fn system(sent: &[Self], scene: &Scene) -> Result<Simulator> {
         let telescope = Telescope::new(scene)?;
-        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let seed = scene.seed();
         let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
         let mut moved_mas: Vec<f64> = Vec::new();
         for one in sent {

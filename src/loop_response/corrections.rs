@@ -55,8 +55,10 @@ pub struct Corrections {
     pub actuator_commands: Option<Commands>,
     /// Number of commands that were clipped at a limit.
     pub limited: usize,
-    /// Sentences to read before anything is moved: the estimate adds its warnings and remarks.
+    /// Sentences on the corrections, to read before anything is moved.
     pub warnings: Vec<String>,
+    /// Warnings and remarks of the estimate, which the files hold, too.
+    pub estimate_warnings: Vec<String>,
 }
 
 /// Correction of an NCPA mode.
@@ -159,6 +161,7 @@ impl Corrections {
             actuator_commands,
             limited,
             warnings: warnings.into_iter().flatten().collect(),
+            estimate_warnings: Vec::new(),
         })
     }
 

@@ -280,7 +280,7 @@ impl Estimate {
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
         let segment_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
-        let corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
+        let mut corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
             Some(iteration) => iteration.corrections(&self.scene, limit_nm, segment_limit_nm)?,
             None => {
                 let Some(fitter) = &self.fitter else {
@@ -297,8 +297,12 @@ impl Estimate {
             }
         };
         let status = (self.status != ImageStatus::Ok).then(|| format!("the status is {}", self.status.word()));
-        let own = corrections.warnings.into_iter();
-        let warnings = own.chain(status).chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
-        Ok(Corrections { warnings: warnings.collect(), ..corrections })
+        let said = status.into_iter().chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
+        corrections.estimate_warnings = said.collect();
+        // In the unit of the slopes that were measured.
+        if let Some(check) = self.map.as_ref().and_then(|map| map.telemetry.as_ref()) {
+            corrections.slopes_mas.iter_mut().for_each(|mas| *mas *= check.divided_by);
+        }
+        Ok(corrections)
     }
 }

@@ -63,7 +63,7 @@ impl Trials {
         let scene = &if scene.aberrations.is_some() { scene.clone() } else { with_assumed_aberrations(scene)? };
         let telescope = Telescope::new(scene)?;
         let camera = Camera::new(scene, &telescope)?;
-        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let seed = scene.seed();
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
         rng.set_stream(STREAM);
         let truths = (0..DRAWS).map(|_| Truth::draw(scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;

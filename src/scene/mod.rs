@@ -285,6 +285,11 @@ impl Scene {
         })
     }
 
+    /// Seed of the aberrations; 1 in a scene without any.
+    pub fn seed(&self) -> u64 {
+        self.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed)
+    }
+
     /// Whether the scene has a mirror of its own, and not only the default of every scene.
     pub fn has_mirror(&self) -> bool {
         let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file", "mirror.influence_file"];

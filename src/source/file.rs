@@ -19,7 +19,7 @@ pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
         let (given, wanted) = (made.len(), channels.len().max(1));
         return Err(Error::Shape(format!("there are images of {given} channels, where the scene has {wanted}")));
     };
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let seed = scene.seed();
     let mut file = FitsWriter::create(path)?;
     for (number, made) in made.iter().enumerate() {
         let hdu = channel_images(&mut file, scene, number, &made.images_e, made.flux_e)?;

@@ -67,7 +67,7 @@ fn simulate_channel(scene: &Scene, number: u64, change: &ChangeOfTruth) -> Resul
         )));
     }
     let telescope = Telescope::new(scene)?;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let seed = scene.seed();
     let truth = change(Truth::draw(scene, &telescope, &mut stream(seed, 0))?, scene, &telescope)?;
     let camera = Camera::new(scene, &telescope)?;
     let psf = camera.psf(&truth)?;

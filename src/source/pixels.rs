@@ -23,7 +23,7 @@ pub(crate) struct DetectorPixels {
 impl DetectorPixels {
     /// Pixels of `scene`.
     pub(crate) fn new(scene: &Scene) -> Self {
-        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let seed = scene.seed();
         Self { area: pixel_response(scene), response_rms: scene.faults.pixel_response_rms, seed }
     }
 

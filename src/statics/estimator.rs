@@ -22,7 +22,6 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// Amplitude below which a sample is left out: images hold little information on its phase.
 const MIN_AMPLITUDE: f64 = 0.5;
@@ -202,8 +201,8 @@ impl<'a> StaticsEstimator<'a> {
     }
 
     /// Slopes for 1 nm of each NCPA mode during the exposures, as [`SensorModel::response_mas`], of the last estimate.
-    pub(super) fn slope_response_mas(&self) -> Option<Arc<Array2<f64>>> {
-        self.last.as_ref()?.sensor.as_ref()?.response_mas().map(Arc::new)
+    pub(super) fn slope_response_mas(&self) -> Option<Array2<f64>> {
+        self.last.as_ref()?.sensor.as_ref()?.response_mas()
     }
 
     /// The linear model of a mean wavefront of `covariance`.

@@ -136,7 +136,6 @@ impl<'a> IterativeEstimate<'a> {
         let uncompensated_nm = self.estimator.uncompensated_nm(&errors);
         let iteration =
             self.modes.iteration((errors, uncompensated_nm), pupil, self.input.clone(), &images, residual.rms_nm())?;
-        let iteration = Iteration { slope_response_mas: self.estimator.slope_response_mas(), ..iteration };
         let next = self.acceleration.next_input();
         let about = self.estimator.static_wavefront(&self.modes, &next, &iteration.errors)?;
         self.iterations.push(iteration);
@@ -227,13 +226,14 @@ impl<'a> IterativeEstimate<'a> {
         Ok(false)
     }
 
-    /// Returns the iterations, with the segment tilts and the NCPA beyond the modes in the last.
+    /// Returns the iterations, with the segment tilts, the NCPA beyond the modes and the response of the slopes in the last.
     fn finish(mut self) -> Result<Vec<Iteration>> {
         if self.segment_tilts.is_none() && !self.estimator.has_tilts() {
             self.segment_tilts = self.find_segment_tilts()?;
         }
         if let Some(last) = self.iterations.last_mut() {
             last.segment_tilts = self.segment_tilts;
+            last.slope_response_mas = self.estimator.slope_response_mas();
             last.add_beyond_modes(self.beyond_modes_nm);
         }
         Ok(self.iterations)

@@ -11,7 +11,6 @@ use crate::modes::SegmentModes;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use ndarray::{Array2, s};
-use std::sync::Arc;
 
 /// Result of one iteration.
 #[derive(Debug, Clone)]
@@ -46,8 +45,9 @@ pub struct Iteration {
     /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
     /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
-    /// Slopes of the wavefront sensor for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas; `None` without measured slopes.
-    pub slope_response_mas: Option<Arc<Array2<f64>>>,
+    /// Slopes of the wavefront sensor for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas; of the last iteration only, and `None`
+    /// without measured slopes.
+    pub slope_response_mas: Option<Array2<f64>>,
 }
 
 impl Iteration {
@@ -109,7 +109,7 @@ impl Iteration {
             ncpa_sigma_nm: &self.sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
             has_ncpa_corrector: scene.has_mirror(),
-            slope_response_mas: self.slope_response_mas.as_deref(),
+            slope_response_mas: self.slope_response_mas.as_ref(),
         };
         Corrections::new(scene, &errors, limit_nm)
     }

@@ -115,6 +115,7 @@ assert(c.limited > 0 && c.corrected_modes > 0);
 assert(sum(cellfun(@isempty, c.ncpa_held)), c.corrected_modes);
 assert(numel(c.segments_held), numel(c.pistons_nm) + numel(c.tilts_nm));
 assert(c.ncpa_drop_nm2 > 0);
+assert(isempty(c.warnings));
 c = e.correct();
 assert(size(c.actuators_m), [2, numel(c.actuators_nm)]);
 

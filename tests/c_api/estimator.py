@@ -165,6 +165,7 @@ def files(found, dump):
     correction = found.correct()
     assert correction.corrected_modes == limited.corrected_modes > 0
     assert correction.ncpa_held.count("") == correction.corrected_modes and correction.ncpa_drop_nm2 > 0
+    assert correction.warnings == []
     assert len(correction.segments_held) == correction.pistons_nm.size + correction.tilts_nm.size
     return correction.pistons_nm, correction.actuators_nm, correction.actuators_m, correction.slopes_mas
 

@@ -7,7 +7,7 @@ use cophase::scene::{AoKnowledge, Method, Scene};
 use cophase::source::{Camera, Truth};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
-use ndarray::{Array2, Array3, Axis, concatenate, s};
+use ndarray::{Array1, Array2, Array3, Axis, concatenate, s};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -121,10 +121,25 @@ fn telemetry_is_used_at_its_gain_or_ignored_where_the_scene_says_so() {
     });
     let apart_nm = apart.unwrap().rms_nm;
     assert!(apart_nm[1] < 0.15 * found.ncpa.rms_nm, "{apart_nm:?}");
+    // Reference slopes are in the unit of the measured ones.
+    let [moved, negated_moved] = [&found, &used].map(|found| Array1::from(found.corrections(None).unwrap().slopes_mas));
+    let off = &negated_moved / -40.0 - &moved;
+    assert!(off.dot(&off) < 0.15f64.powi(2) * moved.dot(&moved), "{}", (off.dot(&off) / moved.dot(&moved)).sqrt());
     let ignored = estimate(&scene(&[("estimate.telemetry", "ignore")]), &negated).unwrap();
     let map = ignored.map.as_ref().unwrap();
     assert!(map.ao_knowledge == AoKnowledge::Loop && map.telemetry.is_none());
     assert!(ignored.remarks.iter().any(|remark| remark.contains("orientation cannot be verified")));
+}
+
+#[test]
+fn reference_slopes_are_left_out_with_a_warning_where_no_slopes_were_measured() {
+    // Large beside what turbulence leaves in the mean of eight images, so that they are corrected.
+    let scene = scene(&[("aberrations.ncpa_rms_nm", "300"), ("estimate.telemetry", "ignore")]);
+    let images = exposures(&mut Stepper::new(&scene).unwrap(), 8);
+    let corrections = estimate(&scene, &images).unwrap().corrections(None).unwrap();
+    assert!(corrections.corrected_modes > 0 && corrections.slopes_mas.is_empty());
+    let [sentence] = &corrections.warnings[..] else { panic!("{:?}", corrections.warnings) };
+    assert!(sentence.starts_with("reference slopes are left out"), "{sentence}");
 }
 
 #[test]

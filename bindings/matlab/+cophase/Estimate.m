@@ -143,6 +143,7 @@ classdef Estimate < cophase.Handle
             %                       held: 'deadband', 'no-benefit' or 'never-corrected'; '' for one that is corrected
             %      segments_drop_nm2, ncpa_drop_nm2  expected drop of the sum of squares of the segment modes (of the steps
             %                       at edges by the convention edge-minimising), and of the NCPA modes, nm^2
+            %      warnings         what to know before anything is moved, a cell of sentences
             %   Gain, deadband and convention are those of the scene's section [commands]. Errors whose correction is not expected to
             %   lower them are held, and so are tips and tilts of segments of a modal estimate.
             %
@@ -171,6 +172,7 @@ classdef Estimate < cophase.Handle
                 'segments_drop_nm2', found.segments_drop_nm2, 'ncpa_drop_nm2', found.ncpa_drop_nm2);
             result.segments_held = self.texts('SEGMENT_HELD', found.segments + found.tilts);
             result.ncpa_held = self.texts('NCPA_HELD', found.ncpa_modes);
+            result.warnings = cophase.Handle.lines(self.text('CORRECTION_WARNINGS'));
             result.segment_commands = self.commands('SEGMENT', found.segment_commands);
             result.actuator_commands = self.commands('ACTUATOR', found.actuator_commands);
         end

@@ -227,7 +227,8 @@ static cophase_status estimate_text(const void *object, int32_t what, size_t ind
 static const constant_name TEXTS[] = {
     TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS), TEXT(DEVICE), TEXT(POLICY), TEXT(MODEL), TEXT(SCENE), TEXT(IMAGE_MESSAGE),
     TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), TEXT(CHANNEL_NAME), TEXT(SEGMENT_COMMAND_NAME),
-    TEXT(ACTUATOR_COMMAND_NAME), TEXT(SEGMENT_HELD), TEXT(NCPA_HELD), {NULL, 0},
+    TEXT(ACTUATOR_COMMAND_NAME), TEXT(SEGMENT_HELD), TEXT(NCPA_HELD),
+    TEXT(CORRECTION_WARNINGS), {NULL, 0},
 };
 
 /* (estimate, 'MODE_NAME', index): a text; index from 1. */

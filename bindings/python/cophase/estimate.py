@@ -52,6 +52,8 @@ class Correction:
     segments_drop_nm2, ncpa_drop_nm2 : float
         Expected drop of the sum of squares of the segment modes (of the steps at edges by the convention edge-minimising),
         and of the NCPA modes, nm².
+    warnings : list of str
+        What to know before anything is moved.
     """
 
     pistons_nm: NDArray[np.float64]
@@ -67,6 +69,7 @@ class Correction:
     ncpa_held: tuple[str, ...]
     segments_drop_nm2: float
     ncpa_drop_nm2: float
+    warnings: list[str]
 
 
 class Estimate(Handle):
@@ -220,6 +223,7 @@ class Estimate(Handle):
             tuple(self._text("NCPA_HELD", index) for index in range(found.ncpa_modes)),
             found.segments_drop_nm2,
             found.ncpa_drop_nm2,
+            self._text("CORRECTION_WARNINGS").splitlines(),
         )
 
     def _commands(self, what: str, count: int) -> dict[str, float]:

@@ -229,7 +229,7 @@ fn verdict(row: &CheckRow, found: &Check) -> (Option<String>, bool) {
 /// Images without and with the poke.
 fn poked(scene: &Scene) -> Result<[Array3<f64>; 2]> {
     let telescope = Telescope::new(scene)?;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let seed = scene.seed();
     let Poke::Segment(segment, nm) = POKE else { return Err(Error::Internal("the poke is one of a segment".into())) };
     let camera = Camera::new(scene, &telescope)?;
     let one = |number: u64, nm: f64| -> Result<Array3<f64>> {

@@ -54,6 +54,8 @@ pub struct PetalDraw {
     pub sigma_nm: Vec<f64>,
     /// Whether there is a warning, or a status other than ok.
     pub is_flagged: bool,
+    /// Whether all pistons are within a quarter of a wavelength of the truth, so that none is of another whole wavelength or sign.
+    pub is_in_wave: bool,
 }
 
 /// Draws with one amplitude of the petals.
@@ -166,16 +168,13 @@ impl PetalDraw {
         let covariance_nm2 = found.covariance_nm2.slice(s![modes.clone(), modes]);
         let variances_nm2 = response.dot(&covariance_nm2).dot(&response.t()).into_diag();
         let residual_nm = if case.group == Group::Ncpa { &residual.ncpa_nm } else { &residual.phasing_nm };
+        let error_nm = means(petals, pupil, residual_nm.view());
         Ok(Self {
-            error_nm: means(petals, pupil, residual_nm.view()),
+            is_in_wave: error_nm.iter().all(|nm| nm.abs() < case.scene.image.wavelength_nm / 4.0),
+            error_nm,
             sigma_nm: variances_nm2.iter().map(|nm2| nm2.max(0.0).sqrt()).collect(),
             is_flagged: !found.is_sound(),
         })
-    }
-
-    /// Whether all pistons are nearer to the truth than to a piston of another wavelength or sign: within a quarter of 2,168.6 nm.
-    fn is_right(&self) -> bool {
-        self.error_nm.iter().all(|nm| nm.abs() < 542.0)
     }
 }
 
@@ -192,38 +191,38 @@ fn means(petals: &Petals, pupil: &Pupil, map: ArrayView2<f64>) -> Vec<f64> {
 
 impl PetalTable {
     /// One line for each case and amplitude. Residuals are RMS over the petals of a draw, mean and standard deviation over
-    /// the draws that are right.
+    /// the draws within a quarter of a wavelength.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "case",
             "petals_nm",
             "draws",
-            "right",
+            "within_quarter_wave",
             "residual_nm",
             "residual_sd_nm",
             "sigma_nm",
             "worst_nm",
             "flagged",
-            "wrong_unflagged",
+            "beyond_unflagged",
         ]);
         for point in &self.points {
-            let right: Vec<&PetalDraw> = point.draws.iter().filter(|draw| draw.is_right()).collect();
-            let of = |values: fn(&PetalDraw) -> f64| right.iter().map(|draw| values(draw)).collect::<Vec<f64>>();
+            let near: Vec<&PetalDraw> = point.draws.iter().filter(|draw| draw.is_in_wave).collect();
+            let of = |values: fn(&PetalDraw) -> f64| near.iter().map(|draw| values(draw)).collect::<Vec<f64>>();
             let residuals_nm = of(|draw| rms(&draw.error_nm));
-            let worst = right.iter().flat_map(|draw| &draw.error_nm).map(|nm| nm.abs()).reduce(f64::max);
+            let worst = near.iter().flat_map(|draw| &draw.error_nm).map(|nm| nm.abs()).reduce(f64::max);
             let flagged = |draw: &&PetalDraw| draw.is_flagged;
-            let wrong_unflagged = |draw: &&PetalDraw| !draw.is_flagged && !draw.is_right();
+            let beyond_unflagged = |draw: &&PetalDraw| !draw.is_flagged && !draw.is_in_wave;
             table.push(vec![
                 point.case.into(),
                 Cell::Number(point.amplitude_nm, 0),
                 point.draws.len().into(),
-                right.len().into(),
+                near.len().into(),
                 Cell::Number(mean(&residuals_nm), 2),
                 Cell::Number(standard_deviation(&residuals_nm), 2),
                 Cell::Number(rms(&of(|draw| rms(&draw.sigma_nm))), 2),
                 Cell::Number(worst.unwrap_or(f64::NAN), 2),
                 point.draws.iter().filter(flagged).count().into(),
-                point.draws.iter().filter(wrong_unflagged).count().into(),
+                point.draws.iter().filter(beyond_unflagged).count().into(),
             ]);
         }
         table
@@ -242,10 +241,10 @@ impl PetalTable {
             let dashed = SeriesStyle { stroke: Stroke::Dashed, marker: Marker::None, colour: Some(colour) };
             let (found, expected) = (list(&all(|draw| rms(&draw.error_nm))), list(&all(|draw| rms(&draw.sigma_nm))));
             series.push(Series { label: chunk[0].case.into(), x: x.clone(), y: found, y_err: None, style: solid });
-            series.push(Series { label: "its error bar".into(), x, y: expected, y_err: None, style: dashed });
+            series.push(Series { label: String::new(), x, y: expected, y_err: None, style: dashed });
         }
         CurvePicture {
-            title: "Pistons of petals: residual of all draws".into(),
+            title: "Pistons of petals: residual of all draws (dashed: error bar)".into(),
             x_label: "pistons of the petals (nm RMS)".into(),
             y_label: "residual (nm RMS)".into(),
             y_log: true,
@@ -258,7 +257,8 @@ impl PetalTable {
         let files = ["petals.csv", "petals.png"].map(|name| directory.join(name));
         self.table().write_csv(&files[0])?;
         self.picture().draw(&files[1])?;
-        let text = "Pistons of petals: residual and error bar of the draws that are right, nm\n".to_string()
+        let text = "Pistons of petals: residual and error bar of the draws within a quarter of a wavelength, nm\n"
+            .to_string()
             + &self.table().text();
         Ok(Report { text: text + "\n", files: files.to_vec() })
     }

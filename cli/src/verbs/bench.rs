@@ -158,7 +158,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
 }
 
 fn measure(arguments: &Arguments, scene: &Scene, terminal: &Terminal, interrupt: &Interrupt) -> Result<Bench> {
-    let seed = arguments.seed.unwrap_or_else(|| scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed));
+    let seed = arguments.seed.unwrap_or_else(|| scene.seed());
     let wait = terminal.wait("Measuring", usize::MAX);
     let watch = |done: usize, all: usize| wait.done_of(done, all);
     bench::run(scene, &arguments.grid(), seed, &Progress::new(&watch, Some(interrupt.flag())))

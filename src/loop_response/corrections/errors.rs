@@ -27,7 +27,7 @@ pub struct CorrectableErrors<'a> {
     pub ncpa_sigma_nm: &'a [f64],
     /// What they are coefficients of.
     pub ncpa: NcpaModes<'a>,
-    /// Whether something takes NCPA: a mirror, or reference slopes. Without, they are left.
+    /// Whether a mirror takes NCPA. Without, they are left.
     pub has_ncpa_corrector: bool,
     /// Slopes for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas: turbulence blurs the spots of lenslets, whose slopes then
     /// change less. `None` where no slopes were measured.

@@ -83,17 +83,23 @@ impl Corrections {
             ];
             file.table("NCPA", &modes)?;
         }
-        if !self.warnings.is_empty() {
-            file.table("WARNINGS", &[Column::text("SENTENCE", &self.warnings)])?;
+        let warnings: Vec<&String> = self.all_warnings().collect();
+        if !warnings.is_empty() {
+            file.table("WARNINGS", &[Column::text("SENTENCE", warnings)])?;
         }
         file.finish()
+    }
+
+    /// The warnings of the corrections, then those of the estimate.
+    fn all_warnings(&self) -> impl Iterator<Item = &String> {
+        self.warnings.iter().chain(&self.estimate_warnings)
     }
 
     /// The commands as text: the warnings as comments, and a line with the name of each channel and what to add to it.
     fn text(&self) -> String {
         let mut text = String::from("# Corrections by cophase: what to add to each channel.\n");
         self.sentences().iter().for_each(|sentence| text += &format!("# {sentence}\n"));
-        self.warnings.iter().for_each(|sentence| text += &format!("# {}\n", sentence.replace('\n', " ")));
+        self.all_warnings().for_each(|sentence| text += &format!("# {}\n", sentence.replace('\n', " ")));
         let own = |nm: &mut dyn Iterator<Item = f64>| Commands::in_nm(nm);
         let segments = own(&mut self.pistons_nm.iter().copied());
         let [tips, tilts] = [0, 1].map(|axis| {

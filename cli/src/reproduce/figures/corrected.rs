@@ -170,7 +170,7 @@ fn corrected(piston_nm: &[f64], estimate: &ModalEstimate) -> Vec<f64> {
 /// The aberrations of `scene`.
 fn drawn(scene: &Scene) -> Result<(Telescope, Truth)> {
     let telescope = Telescope::new(scene)?;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let seed = scene.seed();
     let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
     Ok((telescope, truth))
 }

@@ -88,7 +88,7 @@ pub(in crate::reproduce) struct Made {
 /// Makes the images of `scene` and spoils them. One seed is one image, or one sequence.
 pub(in crate::reproduce) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
     let telescope = Telescope::new(scene)?;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let seed = scene.seed();
     let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
     if let Spoil::Segment(waves) = spoil {
         let mut piston_nm = truth.piston_nm.clone();

@@ -142,6 +142,9 @@ impl Arguments {
         if let Some(path) = &self.commands_plot {
             moves::picture(self.first(), estimate, corrections)?.draw(path)?;
         }
+        for sentence in &corrections.warnings {
+            terminal.warn(&format!("{}: {sentence}", self.first().display()));
+        }
         if corrections.limited > 0 {
             let what = counted(corrections.limited, "command");
             terminal.warn(&format!("{}: cut at a limit: {what} of the corrections", self.first().display()));
