@@ -1,5 +1,6 @@
 //! Interface to the dense eigenvalue solver.
 
+use crate::linear_algebra::unit_scale;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2};
 
@@ -18,9 +19,10 @@ pub(crate) fn symmetric_eigen(matrix: &Array2<f64>) -> Result<(Array1<f64>, Arra
         // The solver does not accept an empty matrix.
         return Ok((Array1::zeros(0), Array2::zeros((0, 0))));
     }
-    let eigen = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
+    let scale = unit_scale(matrix);
+    let eigen = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]] * scale)
         .self_adjoint_eigen(faer::Side::Lower)
         .map_err(|failure| Error::Internal(format!("eigenvalues of a {size}×{size} matrix: {failure:?}")))?;
-    let values = (0..size).map(|i| eigen.S().column_vector()[i]).collect();
+    let values = (0..size).map(|i| eigen.S().column_vector()[i] / scale).collect();
     Ok((values, Array2::from_shape_fn((size, size), |(i, j)| eigen.U()[(i, j)])))
 }

@@ -1,6 +1,7 @@
 //! Whitened coordinates of a least-squares problem, in which its Hessian is a multiple of the identity.
 
 use super::pairs::{add_scaled, dot};
+use crate::linear_algebra::unit_scale;
 use crate::{Error, Result};
 use faer::{Mat, Side};
 use ndarray::{Array2, ArrayView2};
@@ -44,12 +45,14 @@ impl Metric {
     /// not symmetric, has a negative eigenvalue beyond the floor, or is zero, or if the floor is not in (0, 1).
     pub fn from_gauss_newton(gauss_newton: &Array2<f64>, relative_floor: f64) -> Result<Self> {
         let n = check(gauss_newton, relative_floor)?;
-        let matrix = Mat::from_fn(n, n, |i, j| gauss_newton[[i, j]]);
+        let scale = unit_scale(gauss_newton);
+        let matrix = Mat::from_fn(n, n, |i, j| gauss_newton[[i, j]] * scale);
         let eigen = matrix
             .self_adjoint_eigen(Side::Lower)
             .map_err(|e| Error::Value(format!("the eigenvalues of the Gauss-Newton matrix cannot be found: {e:?}")))?;
-        let (values, vectors) = (eigen.S().column_vector(), eigen.U());
         // In ascending order.
+        let values: Vec<f64> = eigen.S().column_vector().iter().map(|value| value / scale).collect();
+        let vectors = eigen.U();
         let (smallest, largest) = (values[0], values[n - 1]);
         if largest.is_nan() || largest <= 0.0 {
             return Err(Error::Value(format!(
@@ -223,6 +226,30 @@ mod tests {
                 assert!((image.dot(b) - expected).abs() < 1e-9, "[{i}, {j}]: {}", image.dot(b));
                 assert!((z[j] - image.dot(b)).abs() < 1e-12, "{} {}", z[j], image.dot(b));
             }
+        }
+    }
+
+    /// As large as that of several hundred segments, whose derivatives by nm are small: 1e-6 of a unit and less.
+    #[test]
+    fn a_large_matrix_of_small_entries_has_its_weak_directions() {
+        // H = V Λ Vᵀ with the reflection V = 1 − 2 v vᵀ; eigenvalues from 1 to 1e-7 of the largest, and one that is 0.
+        let (n, scale) = (300, 1e-9);
+        let v: Vec<f64> = (0..n).map(|i| (1.0 + 3.0 * i as f64).sin()).collect();
+        let square = v.iter().map(|v| v * v).sum::<f64>();
+        let reflection =
+            Array2::from_shape_fn((n, n), |(i, j)| f64::from(u8::from(i == j)) - 2.0 * v[i] * v[j] / square);
+        let value = |k: usize| if k == 0 { 0.0 } else { scale * 1e-7_f64.powf(k as f64 / n as f64) };
+        let scaled = Array2::from_shape_fn((n, n), |(i, k)| reflection[[i, k]] * value(k));
+        let h = scaled.dot(&reflection);
+        let metric = Metric::from_gauss_newton(&((&h + &h.t()) / 2.0), 1e-10).unwrap();
+        assert_eq!(metric.rank(), n - 1);
+        // The inverse in each direction: rounding of some n·ε of the largest eigenvalue is 7e-14/1e-7 of the smallest; ten times that.
+        for k in 1..n {
+            let direction: Vec<f64> = reflection.column(k).to_vec();
+            let mut z = vec![0.0; n - 1];
+            metric.gradient_to_z(&direction, &mut z);
+            let inverse = z.iter().map(|z| z * z).sum::<f64>();
+            assert!((inverse * value(k) - 1.0).abs() < 1e-5, "{k}: {}", inverse * value(k) - 1.0);
         }
     }
 
