@@ -129,7 +129,7 @@ impl Corrections {
         let actuator_commands = in_terms(Moved::Actuators, &additions_nm, &[])?;
         let leaves_tilts = segment_commands.as_ref().is_some_and(|commands| !commands.has_tilts);
         let says = |is_so: bool, sentence: &str| is_so.then(|| sentence.to_owned());
-        let lacks_response = matches!(errors.ncpa, NcpaModes::Smooth(_)) && errors.slope_response_mas.is_none();
+        let lacks_response = matches!(errors.ncpa, NcpaModes::Smooth(_)) && errors.reference_mas_per_nm.is_none();
         let has_loop = scene.control.is_some() && scene.wavefront_sensor.is_some();
         let warnings = [
             says(leaves_tilts && tilts_nm.iter().any(|nm| *nm != 0.0), TILTS_LEFT),
@@ -156,7 +156,7 @@ impl Corrections {
             expected_drop_nm2: correction.expected_drop_nm2,
             policy,
             actuators_nm,
-            slopes_mas: errors.slope_response_mas.map_or(Vec::new(), |response| reference_slopes(response, &ncpa_nm)),
+            slopes_mas: errors.reference_mas_per_nm.map_or(Vec::new(), |response| reference_slopes(response, &ncpa_nm)),
             segment_commands,
             actuator_commands,
             limited,

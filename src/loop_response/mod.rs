@@ -4,6 +4,7 @@ mod closed_loop;
 mod controller;
 mod correction_file;
 mod corrections;
+mod gain_loss;
 mod mirror_shape;
 mod segment_layout;
 mod segment_surface;

@@ -72,7 +72,7 @@ impl ModalErrors<'_> {
             ncpa_sigma_nm: &sigma_nm[segment_modes..],
             ncpa: NcpaModes::Maps(&map_nm),
             has_ncpa_corrector: self.scene.has_mirror(),
-            slope_response_mas: None,
+            reference_mas_per_nm: None,
         })
     }
 }

@@ -200,9 +200,9 @@ impl<'a> StaticsEstimator<'a> {
         Ok(errors)
     }
 
-    /// Slopes for 1 nm of each NCPA mode during the exposures, as [`SensorModel::response_mas`], of the last estimate.
-    pub(super) fn slope_response_mas(&self) -> Option<Array2<f64>> {
-        self.last.as_ref()?.sensor.as_ref()?.response_mas()
+    /// [`SensorModel::reference_mas_per_nm`] of the last estimate.
+    pub(super) fn reference_mas_per_nm(&self) -> Option<Array2<f64>> {
+        self.last.as_ref()?.sensor.as_ref()?.reference_mas_per_nm().cloned()
     }
 
     /// The linear model of a mean wavefront of `covariance`.

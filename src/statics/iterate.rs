@@ -226,14 +226,14 @@ impl<'a> IterativeEstimate<'a> {
         Ok(false)
     }
 
-    /// Returns the iterations, with the segment tilts, the NCPA beyond the modes and the response of the slopes in the last.
+    /// Returns the iterations, with the segment tilts, the NCPA beyond the modes and the reference slopes in the last.
     fn finish(mut self) -> Result<Vec<Iteration>> {
         if self.segment_tilts.is_none() && !self.estimator.has_tilts() {
             self.segment_tilts = self.find_segment_tilts()?;
         }
         if let Some(last) = self.iterations.last_mut() {
             last.segment_tilts = self.segment_tilts;
-            last.slope_response_mas = self.estimator.slope_response_mas();
+            last.reference_mas_per_nm = self.estimator.reference_mas_per_nm();
             last.add_beyond_modes(self.beyond_modes_nm);
         }
         Ok(self.iterations)

@@ -45,9 +45,9 @@ pub struct Iteration {
     /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
     /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
-    /// Slopes of the wavefront sensor for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas; of the last iteration only, and `None`
-    /// without measured slopes.
-    pub slope_response_mas: Option<Array2<f64>>,
+    /// Reference slopes about which the loop moves its mirror by 1 nm of each NCPA mode, `[mode, slope]`, mas; of the last iteration only, and
+    /// `None` without measured slopes.
+    pub reference_mas_per_nm: Option<Array2<f64>>,
 }
 
 impl Iteration {
@@ -109,7 +109,7 @@ impl Iteration {
             ncpa_sigma_nm: &self.sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
             has_ncpa_corrector: scene.has_mirror(),
-            slope_response_mas: self.slope_response_mas.as_ref(),
+            reference_mas_per_nm: self.reference_mas_per_nm.as_ref(),
         };
         Corrections::new(scene, &errors, limit_nm)
     }

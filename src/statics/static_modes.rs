@@ -154,7 +154,7 @@ impl StaticModes {
             reduced_chi2: images.reduced_chi2,
             residual_rms_nm,
             segment_tilts: None,
-            slope_response_mas: None,
+            reference_mas_per_nm: None,
             phasing_nm,
             ncpa_nm,
             errors,

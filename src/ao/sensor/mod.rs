@@ -153,7 +153,7 @@ impl Sensor {
     }
 
     /// Whether a slope depends on the wavefront over its subaperture alone.
-    pub(super) fn is_local(&self) -> bool {
+    pub(crate) fn is_local(&self) -> bool {
         !matches!(self.detector, Detector::Pyramid(_))
     }
 

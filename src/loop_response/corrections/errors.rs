@@ -29,9 +29,9 @@ pub struct CorrectableErrors<'a> {
     pub ncpa: NcpaModes<'a>,
     /// Whether a mirror takes NCPA. Without, they are left.
     pub has_ncpa_corrector: bool,
-    /// Slopes for 1 nm of each NCPA mode during the exposures, `[mode, slope]`, mas: turbulence blurs the spots of lenslets, whose slopes then
-    /// change less. `None` where no slopes were measured.
-    pub slope_response_mas: Option<&'a Array2<f64>>,
+    /// Reference slopes about which the loop moves its mirror by 1 nm of each NCPA mode, `[mode, slope]`, mas: turbulence blurs the spots of
+    /// lenslets, whose slopes then change less. `None` where no slopes were measured.
+    pub reference_mas_per_nm: Option<&'a Array2<f64>>,
 }
 
 /// Modes of the NCPA.
@@ -155,7 +155,7 @@ mod tests {
                 ncpa_sigma_nm: &[],
                 ncpa: NcpaModes::Maps(&map_nm),
                 has_ncpa_corrector: true,
-                slope_response_mas: None,
+                reference_mas_per_nm: None,
             };
             errors.correction(&CorrectionPolicy::default(), &segments).unwrap()
         };
