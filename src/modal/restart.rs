@@ -3,7 +3,7 @@
 //! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is larger than noise and a
 //! finely sampled model explain (which of a faint star is less than what is accepted of a coarser model), or the fit has used up its
 //! evaluations. It is then restarted from a perturbed start, and the better fit is kept. A
-//! model that is wrong leaves a large χ² too: a misfit whose restart ends at the same χ² is not restarted again, and one that most
+//! model that is wrong leaves a large χ² too: a misfit of which two restarts end at the same χ² is not restarted again, and one that most
 //! images of a sequence share is not restarted at all. Where no restart ends at the same χ², the best fit is a misfit.
 
 use super::engine::{FitTask, ImageFit};
@@ -29,6 +29,9 @@ const NCPA_WAVES: f64 = 0.02;
 /// Two fits of an image whose χ² differ by no more than this share are taken to have ended in one minimum: a fit stops within 0.001 nm
 /// of it, where χ² differs by far less.
 const SAME_MINIMUM: f64 = 1e-3;
+/// Restarts that end in the minimum of a fit before it is taken for the best one. Of 40 draws with pistons of 500 nm RMS at a peak S/N of 30 one
+/// restart confirms a wrong minimum in four, two in two.
+const CONFIRMING: usize = 2;
 
 impl ModalFitter {
     /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier pixels that were rejected
@@ -43,9 +46,9 @@ impl ModalFitter {
         (frames, cleaned): (&'a [Frame<'a>], &'a [Option<CleanedFrame>]),
         fits: &mut [ImageFit],
     ) -> Result<()> {
-        let mut is_settled = vec![false; fits.len()];
+        let mut confirmed = vec![0; fits.len()];
         for attempt in 1..=self.recipe.restarts {
-            let failed = self.failed(fits, &is_settled);
+            let failed = self.failed(fits, &confirmed);
             if failed.is_empty() {
                 return Ok(());
             }
@@ -65,24 +68,29 @@ impl ModalFitter {
             for (image, mut again) in failed.into_iter().zip(again) {
                 again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
                 let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());
-                is_settled[image] = is_same_minimum(after, before);
+                if is_same_minimum(after, before) {
+                    confirmed[image] += 1;
+                } else if after < before {
+                    confirmed[image] = 0;
+                }
                 fits[image].improve(again);
             }
         }
         if self.recipe.restarts > 0 {
-            for image in self.failed(fits, &is_settled) {
+            for image in self.failed(fits, &confirmed).into_iter().filter(|&image| confirmed[image] == 0) {
                 fits[image].minimum.is_unconfirmed = true;
             }
         }
         Ok(())
     }
 
-    /// The images whose fits need a restart, and have not ended in the same minimum again.
-    fn failed(&self, fits: &[ImageFit], is_settled: &[bool]) -> Vec<usize> {
+    /// The images whose fits need a restart, and have not ended in the same minimum again [`CONFIRMING`] times.
+    fn failed(&self, fits: &[ImageFit], confirmed: &[usize]) -> Vec<usize> {
         let reports = self.reports(fits);
         let misfits = can_restart_misfits(&reports);
-        let is_failed =
-            |&image: &usize| fits[image].is_fitted() && !is_settled[image] && needs_restart(&reports[image], misfits);
+        let is_failed = |&image: &usize| {
+            fits[image].is_fitted() && confirmed[image] < CONFIRMING && needs_restart(&reports[image], misfits)
+        };
         (0..fits.len()).filter(is_failed).collect()
     }
 
@@ -116,7 +124,7 @@ fn can_restart_misfits(reports: &[ImageReport]) -> bool {
 fn needs_restart(report: &ImageReport, misfits: bool) -> bool {
     match report.status {
         Status::WrongMinimum => true,
-        Status::Ok | Status::Misfit => misfits && report.reduced_chi2 > report.expected_chi2,
+        Status::Ok | Status::Misfit => misfits && report.reduced_chi2 > report.suspicious_chi2,
         Status::NotConverged(reason) => reason == StopReason::EvaluationLimit,
         Status::Unusable(_) => false,
     }

@@ -90,12 +90,16 @@ pub(super) fn worst<'a>(statuses: impl Iterator<Item = &'a Status>) -> &'a Statu
 /// Standard deviations of χ² from its expectation at which a fit is called a misfit. With 9,000 pixels one is 0.015. A right
 /// model is beyond five in one of three million images.
 const SIGNIFICANT: f64 = 5.0;
+/// Standard deviations at which another minimum is looked for, which costs a fit: a right one of 1,000 is beyond. A minimum with a segment half a
+/// wave off has 1.08 to 1.15 at a peak S/N of 30, five to ten standard deviations.
+const SUSPICIOUS: f64 = 3.0;
 /// Relative error of the band-limited model, RMS: a bound of what χ² shows on nominal scenes of `keck-artificial`, whose excess
 /// over 1 is 0.04 at a peak S/N of 500 and 0.20 at 1,000 (4e-4 of the signal).
 const MODEL_ERROR: f64 = 5e-4;
-/// Smallest and largest excess of χ² over its expectation that is put down to the model. The smallest covers coarser models (64
-/// samples across seven segments: 0.08 at a peak S/N of 100). Beyond the largest, the model is no longer good enough for the
-/// light. In between, error bars scaled by √χ² are within 15 % of those of the noise.
+/// Relative error of a coarser model: 64 samples across seven segments have an excess of 0.08 at a peak S/N of 100 (3e-3 of the signal).
+const COARSE_MODEL_ERROR: f64 = 4e-3;
+/// Largest excess of χ² over its expectation that is put down to a coarser model, and to the model of a bright star, which is then no longer good
+/// enough for the light. Error bars scaled by √χ² are within 15 % of those of the noise.
 const MODEL_EXCESS: [f64; 2] = [0.1, 0.3];
 /// Least fraction of the expectation that is accepted. It matters only for a handful of photons, whose χ² scatters by more than
 /// its expectation; an image that was normalised to a sum of 1 has 1e-9 of it or less.
@@ -112,14 +116,14 @@ const FAINT: f64 = 12.0;
 /// The interval in which the model explains a χ².
 fn explained(chi2: &ReducedChi2) -> [f64; 2] {
     let least = (chi2.least - SIGNIFICANT * chi2.scatter).max(LEAST_FRACTION * chi2.least);
-    let excess = chi2.excess(MODEL_ERROR).clamp(MODEL_EXCESS[0], MODEL_EXCESS[1]);
+    let coarse = chi2.excess(COARSE_MODEL_ERROR).min(MODEL_EXCESS[0]);
+    let excess = chi2.excess(MODEL_ERROR).min(MODEL_EXCESS[1]).max(coarse);
     [least, 1.0 + excess + SIGNIFICANT * chi2.scatter]
 }
 
-/// The χ² that noise and the band-limited model explain: above it another minimum is looked for. A minimum with a segment half a
-/// wave off has 1.13 at a peak S/N of 30, nine standard deviations, which a coarse model might have, too.
-fn expected(chi2: &ReducedChi2) -> f64 {
-    1.0 + chi2.excess(MODEL_ERROR) + SIGNIFICANT * chi2.scatter
+/// The χ² that noise at `deviations` standard deviations and the band-limited model explain.
+fn expected(chi2: &ReducedChi2, deviations: f64) -> f64 {
+    1.0 + chi2.excess(MODEL_ERROR) + deviations * chi2.scatter
 }
 
 /// The report on one image.
@@ -133,9 +137,10 @@ pub struct ImageReport {
     pub reduced_chi2: f64,
     /// Smallest and largest χ² per degree of freedom that noise explains.
     pub explained_chi2: [f64; 2],
-    /// Largest χ² per degree of freedom that noise and the error of a finely sampled model explain: above it another minimum is
-    /// looked for.
+    /// Largest χ² per degree of freedom that noise and the error of a finely sampled model explain.
     pub(crate) expected_chi2: f64,
+    /// χ² per degree of freedom above which another minimum is looked for.
+    pub(crate) suspicious_chi2: f64,
     /// Electrons of the star.
     pub flux_e: f64,
     /// Electrons per native pixel.
@@ -224,7 +229,8 @@ pub(super) fn assess_together(reports: &mut [ImageReport]) {
 
 /// Assesses one minimum by itself. `tilts` are the slopes of each mode.
 pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, minimum: &Minimum) -> ImageReport {
-    let (reduced_chi2, expected_chi2) = (minimum.reduced_chi2(), expected(&minimum.chi2));
+    let reduced_chi2 = minimum.reduced_chi2();
+    let [expected_chi2, suspicious_chi2] = [SIGNIFICANT, SUSPICIOUS].map(|limit| expected(&minimum.chi2, limit));
     let mut explained_chi2 = explained(&minimum.chi2);
     if minimum.is_unconfirmed {
         explained_chi2[1] = explained_chi2[1].min(expected_chi2);
@@ -249,6 +255,7 @@ pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, min
         reduced_chi2,
         explained_chi2,
         expected_chi2,
+        suspicious_chi2,
         flux_e: minimum.flux_e,
         background_e: minimum.background_e / model.preparation.native_pixels(),
         tip_tilt_nm: tilts.tip_tilt_nm(&minimum.coefficients_nm, prepared.shift_pixels),
@@ -265,6 +272,7 @@ pub(super) fn unfitted_report(status: Status) -> ImageReport {
         reduced_chi2: f64::NAN,
         explained_chi2: [f64::NAN; 2],
         expected_chi2: f64::NAN,
+        suspicious_chi2: f64::NAN,
         flux_e: f64::NAN,
         background_e: f64::NAN,
         tip_tilt_nm: [f64::NAN; 2],
