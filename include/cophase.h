@@ -144,9 +144,9 @@ const char *cophase_status_name(int32_t status);
 size_t cophase_last_error(char *text,
                           size_t capacity);
 
-/* Text of a scene that comes with the library, "keck-artificial" or "keck-onsky", in `*scene_text`: a static string.
+/* Text of a scene that comes with the library, such as "keck-artificial", "keck-onsky" or "jwst-pair", in `*scene_text`: a static string.
  *
- * COPHASE_BAD_SCENE for another name.
+ * COPHASE_BAD_SCENE for another name; the message lists all names.
  */
 cophase_status cophase_scene_preset(const char *name,
                                     const char **scene_text);

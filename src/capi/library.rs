@@ -13,9 +13,9 @@ use std::sync::OnceLock;
 /// The presets as C strings, made once.
 static PRESETS: OnceLock<Result<Vec<CString>>> = OnceLock::new();
 
-/// Text of a scene that comes with the library, "keck-artificial" or "keck-onsky", in `*scene_text`: a static string.
+/// Text of a scene that comes with the library, such as "keck-artificial", "keck-onsky" or "jwst-pair", in `*scene_text`: a static string.
 ///
-/// COPHASE_BAD_SCENE for another name.
+/// COPHASE_BAD_SCENE for another name; the message lists all names.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_scene_preset(name: *const c_char, scene_text: *mut *const c_char) -> cophase_status {
     fence(|| {

@@ -1,7 +1,6 @@
 //! Numbers of a scene that the search for the optics varies, and the search along one of them.
 
 use crate::Result;
-use crate::imaging::Choice;
 use crate::modal::has_diversity;
 use crate::scene::Scene;
 use std::ops::RangeInclusive;
@@ -38,8 +37,8 @@ pub(super) struct OpticsParameter {
 }
 
 impl OpticsParameter {
-    /// Parameters that can be searched for in `scene`, whose images are retrieved on `device`.
-    pub(super) fn all(scene: &Scene, device: Choice) -> Vec<Self> {
+    /// Parameters that can be searched for in `scene`.
+    pub(super) fn all(scene: &Scene) -> Vec<Self> {
         let sampling = scene.image.samples_per_lambda_over_d;
         let mut all = vec![Self {
             key: "image.samples_per_lambda_over_d",
@@ -49,10 +48,7 @@ impl OpticsParameter {
             first_step: 0.01 * sampling,
             last_step: 0.0003 * sampling,
         }];
-        // A device that is named has neither filters nor the area of pixels.
-        if matches!(device, Choice::Auto | Choice::Cpu) {
-            all.extend(Self::camera(scene));
-        }
+        all.extend(Self::camera(scene));
         all.extend(Self::shadows(scene));
         all
     }

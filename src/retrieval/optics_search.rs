@@ -150,7 +150,7 @@ impl OpticsSearch<'_> {
             let trial = self.evaluate(&amplitudes, 0.0, merit.most_of_a_trial())?;
             best = Some((amplitudes, trial));
         }
-        let parameters = OpticsParameter::all(&optics.scene, self.settings.device).into_iter();
+        let parameters = OpticsParameter::all(&optics.scene).into_iter();
         for parameter in parameters.filter(|parameter| !is_explained || parameter.kind == OpticsKind::Camera) {
             if !is_explained && best.as_ref().is_some_and(|(_, trial)| trial.explains_images()) {
                 break;

@@ -1,6 +1,7 @@
 function text = preset(name)
     %PRESET  Text of a scene that comes with the library.
-    %   text = cophase.preset(name), where name is 'keck-artificial' or 'keck-onsky'.
+    %   text = cophase.preset(name), where name is that of a scene of the library, such as
+    %   'keck-artificial', 'keck-onsky' or 'jwst-pair'; the error of another name lists all.
     %
     %   Example:
     %       m = cophase.Model(cophase.preset('keck-artificial'));

@@ -102,7 +102,8 @@ def text(name: str, value: str | os.PathLike[str]) -> bytes:
 
 
 def preset(name: str) -> str:
-    """Text of a scene that comes with the library: ``keck-artificial`` or ``keck-onsky``."""
+    """Text of a scene that comes with the library, such as ``keck-artificial``, ``keck-onsky`` or ``jwst-pair``; the error of another name
+    lists all."""
     return words(result("const char *", lib.cophase_scene_preset, text("name", name)))
 
 
