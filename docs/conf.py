@@ -24,7 +24,7 @@ extensions = [
     "sphinxcontrib.matlab",
     "_site.mathml",
     "_site.matlab_help",
-    "_site.attributes",
+    "_site.docstrings",
     "_site.references",
     "_site.repository",
     "_site.rust",
@@ -49,6 +49,8 @@ nitpick_ignore_regex = [
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_google_docstring = False
+# The docstrings have the shapes, which annotations have not.
+napoleon_attr_annotations = False
 matlab_src_dir = str(ROOT / "bindings/matlab")
 matlab_keep_package_prefix = False
 

@@ -8,7 +8,7 @@ import textwrap
 from sphinx.application import Sphinx
 from sphinxcontrib.mat_types import MatObject
 
-from .text import escaped, indented
+from .text import indented, inline
 
 
 def _as_markup(lines: list[str]) -> None:
@@ -35,7 +35,7 @@ def _as_markup(lines: list[str]) -> None:
             language = "matlab" if out and out[-2:-1] == ["Example:"] else "text"
             out += [f".. code-block:: {language}", "", *indented(textwrap.dedent(body)).splitlines(), ""]
         else:
-            out += [*escaped(body).splitlines(), ""]
+            out += [*inline(body).splitlines(), ""]
     lines[:] = out
 
 

@@ -55,7 +55,7 @@ class CommandLineReference(Reference):
         common = [argument for argument in description["arguments"] if argument["id"] != "version"]
         parts = [
             escaped(description["about"]),
-            notes(description["notes"], "console"),
+            notes(description["notes"], "text"),
             heading("Options of every verb", "-"),
             ".. program:: cophase",
             *map(self._argument, common),
@@ -72,7 +72,7 @@ class CommandLineReference(Reference):
             f".. code-block:: text\n\n{indented(verb['usage'])}",
             f".. program:: cophase {verb['name']}",
             *map(self._argument, own),
-            notes(verb["notes"], "console"),
+            notes(verb["notes"], "text"),
         ]
 
     @staticmethod
