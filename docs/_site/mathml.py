@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import re
+
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx
+from sphinx.util import logging
 from sphinx.util.math import get_node_equation_number
 from sphinx.writers.html5 import HTML5Translator
 
 
+_log = logging.getLogger(__name__)
+
+# Delimiters of a given size, which the converter leaves as they are.
+_DELIMITERS = {r"\{": "{", r"\}": "}", r"\|": "‖"}
+
+
+def _mathml(node: nodes.Element, display: str) -> str:
+    """A formula as MathML; a warning for a command that the converter does not know."""
+    text = convert(node.astext(), display=display)
+    for command, delimiter in _DELIMITERS.items():
+        text = text.replace(f">{command}<", f">{delimiter}<")
+    unknown = re.search(r">(\\\w*)", text)
+    if unknown:
+        _log.warning("the formula %s has the command %s, which is not converted", node.astext(), unknown[1], location=node)
+    return text
+
+
 def _inline(writer: HTML5Translator, node: nodes.math) -> None:
-    writer.body.append(convert(node.astext()))
+    writer.body.append(_mathml(node, "inline"))
     raise nodes.SkipNode
 
 
@@ -19,7 +39,7 @@ def _block(writer: HTML5Translator, node: nodes.math_block) -> None:
     if node["number"]:
         number = get_node_equation_number(writer, node)
         writer.body.append(f'<span class="eqno">({number})</span>')
-    writer.body.append(convert(node.astext(), display="block"))
+    writer.body.append(_mathml(node, "block"))
     writer.body.append("</div>\n")
     raise nodes.SkipNode
 

@@ -5,7 +5,7 @@
 
 use crate::blocks::{self, Block};
 use crate::{here, libraries, root, setup};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
@@ -18,15 +18,16 @@ fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
     here
 }
 
-/// Writes each block to a file whose name is its place, and gives these files behind that of the setup.
-fn files(page: &str, blocks: &[Block], extension: &str, folder: &Path) -> Vec<std::path::PathBuf> {
-    let block_file = |block: &Block| {
+/// Writes each block to a file whose name is its place, and gives these files, each behind its setup.
+fn files(page: &str, blocks: &[Block], extension: &str, folder: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> = setup(page, extension).into_iter().collect();
+    for (index, block) in blocks.iter().enumerate() {
+        files.extend(setup(page, &format!("{}.{extension}", index + 1)));
         let name = format!("{}_{}.{extension}", page.replace(['/', '.', '-'], "_"), block.line);
-        let path = folder.join(name);
-        std::fs::write(&path, &block.text).unwrap();
-        path
-    };
-    setup(page, extension).into_iter().chain(blocks.iter().map(block_file)).collect()
+        files.push(folder.join(name));
+        std::fs::write(files.last().unwrap(), &block.text).unwrap();
+    }
+    files
 }
 
 fn succeeds(command: &mut Command, page: &str) {
