@@ -54,8 +54,7 @@ fn try_lines(block: &Block) -> Result<usize, String> {
 #[test]
 fn command_lines_are_accepted() {
     let pages = blocks::run_in("sh");
-    let tried: Vec<Result<usize, String>> =
-        pages.iter().flat_map(|(_, blocks)| blocks).map(try_lines).collect();
+    let tried: Vec<Result<usize, String>> = pages.iter().flat_map(|(_, blocks)| blocks).map(try_lines).collect();
     let refused: Vec<&String> = tried.iter().filter_map(|result| result.as_ref().err()).collect();
     assert!(refused.is_empty(), "{refused:#?}");
     let accepted: usize = tried.iter().flatten().sum();
@@ -65,13 +64,8 @@ fn command_lines_are_accepted() {
 
 #[test]
 fn a_wrong_line_is_refused() {
-    let block = |text: &str| Block {
-        page: "none.md".into(),
-        line: 1,
-        language: "sh".into(),
-        text: text.into(),
-        reason: None,
-    };
+    let block =
+        |text: &str| Block { page: "none.md".into(), line: 1, language: "sh".into(), text: text.into(), reason: None };
     for wrong in ["cophase estimate a.fits --no-such-option 1", "mpirun -n 2 cophase no-such-verb", "no-such-command"] {
         assert!(try_lines(&block(wrong)).is_err(), "{wrong} is accepted");
     }
