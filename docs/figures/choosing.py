@@ -57,6 +57,7 @@ def main():
     axis.set_xlim(-1.4, 10)
     axis.set_ylim(0.8, 6)
     axis.axis("off")
+    figure.subplots_adjust(0, 0, 1, 1)
     save(figure, "choosing.png", colours=64)
 
 

@@ -38,7 +38,7 @@ def main():
     reader = cophase.Model(scene(modes__exact_zernikes=[2, 21]))
     session = cophase.Session(reader, threads=-1)
     truth_nm = aberrations_nm(reader)
-    figure, axes = plt.subplots(3, 3, figsize=(7.2, 6.6), layout="constrained")
+    figure, axes = plt.subplots(3, 3, figsize=(7, 6.4), layout="constrained")
     for axis, (cause, settings) in zip(axes.flat, CAUSES.items()):
         frame_e = frame_of(cause, settings, truth_nm)
         fit = session.fit(frame_e, read_noise_e=READ_NOISE_E)
@@ -49,7 +49,7 @@ def main():
         title = f"{cause}: χ² {chi2:.2f}" if chi2 < 10 else f"{cause}: χ² {chi2:.0f}"
         panel(axis, residual, title, limit=6, label="σ")
         print(f"{cause}: reduced chi squared {chi2:.3g}, {fit.status}")
-    save(figure, "residuals.png", colours=64)
+    save(figure, "residuals.png", colours=48)
 
 
 if __name__ == "__main__":
