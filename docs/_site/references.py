@@ -180,9 +180,9 @@ class StatusReference(Reference):
         return "\n\n".join(
             [
                 heading("Calls", "-"),
-                table(["Number", "C", "Python", "MATLAB and Octave", "Meaning"], calls, [6, 22, 20, 20, 32]),
+                table(["Number", "C", "Python", "MATLAB and Octave", "Meaning"], calls),
                 heading("Images", "-"),
-                table(["Number", "C", "Python, MATLAB and files", "Meaning"], images, [6, 30, 20, 44]),
+                table(["Number", "C", "Python, MATLAB and files", "Meaning"], images),
             ]
         )
 
@@ -193,7 +193,7 @@ class FileReference(Reference):
     def text(self) -> str:
         parts = []
         for title, command, hdus in written_files():
-            parts += [heading(title, "-"), f".. code-block:: console\n\n   {command}"]
+            parts += [heading(title, "-"), f".. code-block:: sh\n\n   {command}"]
             parts += [self._hdu(title, hdu) for hdu in hdus]
         return "\n\n".join(parts)
 

@@ -55,12 +55,9 @@ def notes(text: str, language: str) -> str:
     return "\n\n".join(parts)
 
 
-def table(header: list[str], rows: list[list[str]], widths: list[int] | None = None) -> str:
+def table(header: list[str], rows: list[list[str]]) -> str:
     """A table with one line of header; the cells are reStructuredText."""
-    lines = [".. list-table::", "   :header-rows: 1"]
-    if widths:
-        lines.append(f"   :widths: {' '.join(map(str, widths))}")
-    lines.append("")
+    lines = [".. list-table::", "   :header-rows: 1", "   :widths: auto", ""]
     for row in [header, *rows]:
         for column, cell in enumerate(row):
             first, *rest = cell.splitlines() or [""]

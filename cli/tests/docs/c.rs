@@ -38,7 +38,10 @@ fn compile(block: &Block, folder: &Path) {
     }
     let program = folder.join("block");
     let rpath = format!("-Wl,-rpath,{}", libraries().display());
-    succeeds(compiler().arg(&source).arg("-L").arg(libraries()).args(["-lcophase", &rpath, "-o"]).arg(&program), block);
+    succeeds(
+        compiler().arg(&source).arg("-L").arg(libraries()).args(["-lcophase", "-lm", &rpath, "-o"]).arg(&program),
+        block,
+    );
     // cargo's own search path begins with a folder where an older library may lie.
     succeeds(Command::new(&program).current_dir(folder).env("LD_LIBRARY_PATH", libraries()), block);
 }

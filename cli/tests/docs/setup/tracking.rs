@@ -10,9 +10,9 @@ pub fn example() -> cophase::Result<()> {
     use cophase::tracking::{Observation, Tracker, TrackerSettings};
 
     let mut tracker = Tracker::new(TrackerSettings {
-        segment_modes: 0..36, // coefficients that are segment modes; the rest is NCPA
+        segment_modes: 0..36,                      // coefficients that are segment modes; the rest is NCPA
         segment_of_mode: (0..36).collect(),
-        drift_segments_nm_per_sqrt_hour: None, // learnt
+        drift_segments_nm_per_sqrt_hour: None,     // learnt
         drift_ncpa_nm_per_sqrt_hour: None,
         false_alarms_per_night: 1.0,
         nominal_interval_s: 10.0,
