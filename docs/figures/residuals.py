@@ -11,12 +11,12 @@ CAUSES = {
     "nothing": {},
     "plate scale 0.5 % off": {"image__samples_per_lambda_over_d": 2.01},
     "pupil turned by 0.5°": {"pupil__rotation_deg": 0.5},
-    "square pixels taken for points": {"image__pixel_fill": 1},
+    "square pixels as points": {"image__pixel_fill": 1},
     "bandwidth of 4 %": {"image__bandwidth_fraction": 0.04},
     "obscuration of 2.6 m": {"pupil__central_obscuration_m": 2.6},
     "companion of 1 %": {},
-    "saturated at 70 % of the peak": {},
-    "counts of 4 e⁻ taken for electrons": {},
+    "saturated at 70 %": {},
+    "counts for electrons": {},
 }
 
 
