@@ -81,14 +81,3 @@ html_theme_options = {"navigation_with_keys": True}
 html_search_language = "en"
 pygments_style = "friendly"
 pygments_dark_style = "monokai"
-
-
-def _present_pages(app, docname, content):
-    """Leaves pages that are not written yet out of the lists of index.md."""
-    if docname == "index":
-        is_page = lambda line: "/" in line or not line.replace("-", "").isalpha() or (DOCS / f"{line}.md").exists()
-        content[0] = "\n".join(line for line in content[0].split("\n") if is_page(line))
-
-
-def setup(app):
-    app.connect("source-read", _present_pages)
