@@ -67,6 +67,8 @@ sphinx_gallery_conf = {
     "matplotlib_animations": False,
     "abort_on_example_error": True,
     "copyfile_regex": r"$^",
+    # What a script prints, and not the value of its last line.
+    "capture_repr": (),
 }
 
 html_theme = "furo"

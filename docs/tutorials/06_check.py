@@ -57,7 +57,7 @@ def cophase(*words):
 
 
 off = ["--set", "image.samples_per_lambda_over_d=2.016", "--set", "pupil.rotation_deg=0.6"]
-cophase("image", "scene.toml", "-o", "images.fits", *off)
+print(cophase("image", "scene.toml", "-o", "images.fits", *off))
 
 # %%
 # Does the header contradict the scene?
