@@ -1,8 +1,7 @@
 //! `cophase completions`: completion of the command line in a shell.
 
-use super::Cli;
 use crate::terminal::Terminal;
-use clap::CommandFactory;
+use clap::Command;
 use clap_complete::Shell;
 use cophase::{Error, Result};
 
@@ -20,9 +19,10 @@ pub struct Arguments {
     shell: Shell,
 }
 
-pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+/// Runs the verb for `program`, the command line.
+pub fn run(arguments: &Arguments, mut program: Command, terminal: &Terminal) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(arguments.shell, &mut Cli::command(), "cophase", &mut script);
+    clap_complete::generate(arguments.shell, &mut program, "cophase", &mut script);
     let script = String::from_utf8(script).map_err(|error| Error::Internal(error.to_string()))?;
     terminal.print(&script)
 }

@@ -1,9 +1,8 @@
 //! `cophase manual`: the command line as manual pages, as JSON for the documentation, and as a parser of other command lines.
 
-use super::Cli;
 use crate::outputs;
 use crate::terminal::Terminal;
-use clap::{Arg, ArgGroup, Command, CommandFactory, Parser};
+use clap::{Arg, ArgGroup, Command};
 use cophase::io::write_atomically;
 use cophase::{Error, Result};
 use serde_json::{Value, json};
@@ -36,11 +35,11 @@ pub struct Arguments {
     words: Vec<OsString>,
 }
 
-pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
+/// Runs the verb for `program`, the command line.
+pub fn run(arguments: &Arguments, mut program: Command, terminal: &Terminal) -> Result<ExitCode> {
     if arguments.accepts {
-        return Ok(accepts(&arguments.words));
+        return Ok(accepts(program, &arguments.words));
     }
-    let mut program = Cli::command();
     program.build();
     if let Some(folder) = &arguments.folder {
         write_pages(&program, folder)?;
@@ -51,9 +50,9 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
 }
 
 /// Parses a command line; where it is not accepted the reason goes to stderr.
-fn accepts(words: &[OsString]) -> ExitCode {
+fn accepts(program: Command, words: &[OsString]) -> ExitCode {
     let line = [OsString::from("cophase")].into_iter().chain(words.iter().cloned());
-    match Cli::try_parse_from(line) {
+    match program.try_get_matches_from(line) {
         // Help and version are errors to clap.
         Err(refusal) if refusal.use_stderr() => {
             eprint!("{refusal}");

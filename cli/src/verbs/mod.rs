@@ -27,7 +27,7 @@ mod watch;
 
 use crate::interrupt;
 use crate::terminal::{self, Terminal};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use cophase::{Error, Result};
 use std::process::ExitCode;
 
@@ -101,8 +101,8 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Watch(arguments) => watch::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
         Verb::Bench(arguments) => bench::run(&arguments, &terminal),
-        Verb::Completions(arguments) => completions::run(&arguments, &terminal),
-        Verb::Manual(arguments) => return manual::run(&arguments, &terminal),
+        Verb::Completions(arguments) => completions::run(&arguments, Cli::command(), &terminal),
+        Verb::Manual(arguments) => return manual::run(&arguments, Cli::command(), &terminal),
     }?;
     Ok(ExitCode::SUCCESS)
 }
