@@ -1,4 +1,4 @@
-"""What the program says of itself: keys of a scene, verbs and options, files that it writes."""
+"""Descriptions that the program prints: keys of a scene, verbs and options; files that it writes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCENE = ROOT / "tests/c_api/tiny.toml"
 
 
 def run(*words: str | Path, folder: Path | None = None) -> str:
-    """What the program prints. scripts/docs names the program in COPHASE_PROGRAM."""
+    """Standard output of the program, which scripts/docs names in COPHASE_PROGRAM."""
     program = os.environ.get("COPHASE_PROGRAM") or str(ROOT / "target/debug/cophase")
     done = subprocess.run([program, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:

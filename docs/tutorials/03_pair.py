@@ -3,11 +3,11 @@ A pair of images
 ================
 
 Two images of the same wavefront, defocused to both sides, determine the amplitude of their defocus. One image does not: if the
-defocus is not what the scene says, the estimate is wrong and nothing shows it.
+defocus differs from that of the scene, the estimate is wrong and nothing shows it.
 """
 
 # %%
-# The scene says that the defocus is 1 wave RMS; in truth it is 2 % larger.
+# The defocus of the scene is 1 wave RMS; in truth it is 2 % larger.
 
 import cophase
 import matplotlib.pyplot as plt
@@ -74,7 +74,7 @@ plt.show()
 # ---------------
 #
 # - from one image: the reduced χ² is 1, and the focus is off by 40 nm;
-# - from both images with the defocus of the scene: a warning says that the channels contradict each other;
+# - from both images with the defocus of the scene: a warning: the channels contradict each other;
 # - from both images with ``estimate.fit_optics = ["defocus"]``: the defocus is found, and the focus with it.
 
 estimates = {

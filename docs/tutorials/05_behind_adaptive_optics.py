@@ -55,7 +55,7 @@ plt.show()
 # The estimate
 # ------------
 #
-# Its error bars come from the scatter between the images. The report says how many more images halve them.
+# Its error bars come from the scatter between the images. The report has the number of further images that halve them.
 
 estimate = cophase.Estimator(scene).estimate(np.stack(frames_e), slopes_mas=np.stack(slopes_mas))
 print(estimate.report())
@@ -90,7 +90,7 @@ for name, (true_nm, found_nm) in rows.items():
 # What to correct
 # ---------------
 #
-# :meth:`cophase.Estimate.correct` says what to add to segments, mirror and reference slopes. Modes within their error bars are held.
+# :meth:`cophase.Estimate.correct` computes what to add to segments, mirror and reference slopes. Modes within their error bars are held.
 
 correction = estimate.correct()
 print("pistons to add:", np.round(correction.pistons_nm, 1), "nm")

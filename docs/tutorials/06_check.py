@@ -7,7 +7,7 @@ scene and image can contradict each other in, before the errors go into an estim
 """
 
 # %%
-# An image whose camera is not what the scene says: its plate scale is off by 0.8 %, and the pupil is turned by 0.6 degrees.
+# An image of a camera that differs from the scene: the plate scale is off by 0.8 %, and the pupil is turned by 0.6 degrees.
 
 import json
 import os
@@ -77,7 +77,7 @@ assert refused.returncode == 1
 # Does the image contradict the scene?
 # ------------------------------------
 #
-# ``cophase check`` says which quantities agree, which are at fault, and which an image cannot determine. It names the likeliest cause
+# ``cophase check`` lists which quantities agree, which are at fault, and which an image cannot determine. It names the likeliest cause
 # and the key to set; other faults may be consequences of the first, so it is run again with the corrected scene until none is left.
 
 scene = "scene.toml"

@@ -97,7 +97,7 @@ assert running_nm[-1] < 0.5 * np.mean(errors_nm), (running_nm[-1], np.mean(error
 # A deadline that is too short
 # ----------------------------
 #
-# The coefficients are then the best that were found, and the status says so.
+# The coefficients are then the best that were found, and the status is ``DEADLINE``.
 
 late = session.fit(frame_e(), deadline_s=1e-3)
 print(late.status, f"after {late.reports.evaluations} evaluations, error {error(late.coefficients_nm):.1f} nm")

@@ -14,7 +14,7 @@ pub struct Block {
     /// Word behind the fence.
     pub language: String,
     pub text: String,
-    /// Why it is not run, as the page says.
+    /// Reason in the page for which it is not run.
     pub reason: Option<String>,
 }
 

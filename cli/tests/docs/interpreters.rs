@@ -1,7 +1,7 @@
 //! Python and MATLAB blocks: those of a page run one after the other in one interpreter, after `setup/PAGE.py` or `.m`, on the library
 //! that cargo built. Presets are small scenes there (`run.py`, `run.m`).
 //!
-//! Where Python or Octave is not installed its test says so and passes, unless `COPHASE_REQUIRE_PYTHON` or `COPHASE_REQUIRE_OCTAVE` is 1.
+//! Where Python or Octave is not installed its test prints that and passes, unless `COPHASE_REQUIRE_PYTHON` or `COPHASE_REQUIRE_OCTAVE` is 1.
 
 use crate::blocks::{self, Block};
 use crate::{here, libraries, root, setup};
