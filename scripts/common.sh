@@ -35,6 +35,33 @@ apt_install() {
     "${apt[@]}" update && "${apt[@]}" install --no-install-recommends -y "$@" >/dev/null
 }
 
+# The first python3 that has what the Python package needs: apt's modules are seen by apt's own only.
+python_with_modules() {
+    local python
+    for python in python3 /usr/bin/python3; do
+        if "$python" -c 'import numpy, cffi, setuptools, pip, wheel' >/dev/null 2>&1; then
+            printf '%s' "$python"
+            return
+        fi
+    done
+    return 1
+}
+
+# python_of NAME: a Python with the packages of tests/NAME.txt, in an environment of their own, made anew where that list has
+# changed. COPHASE_PYTHON makes it.
+python_of() {
+    local folder list=tests/$1.txt
+    folder=$(realpath -m "${CARGO_TARGET_DIR:-target}")/python/$1
+    [[ -n "${COPHASE_PYTHON:-}" ]] || return 1
+    if ! cmp -s "$list" "$folder/made-of.txt"; then
+        heading "Installing $1" >&2
+        "$COPHASE_PYTHON" -m venv --without-pip --clear "$folder" >&2 &&
+            "$COPHASE_PYTHON" -m pip --python "$folder/bin/python" install --quiet -r "$list" >&2 &&
+            cp "$list" "$folder/made-of.txt" || return 1
+    fi
+    printf '%s' "$folder/bin/python"
+}
+
 # Rust, a C compiler and make: without them nothing is built. All that can be missing is said at once.
 require_build_tools() {
     local missing=0

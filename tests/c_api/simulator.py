@@ -26,6 +26,8 @@ def misuse():
     assert "[wavefront_sensor]" in cophase.preset("keck-onsky")
     scene = cophase.preset("keck-artificial")
     changed = cophase.scene_set(scene, image__peak_snr=37, modes__exact_zernikes=[4, 18], estimate__device="cpu")
+    words = cophase.scene_set(scene, estimate__fit_optics=["plate-scale", "rotation"])
+    assert 'fit_optics = ["plate-scale", "rotation"]' in words, words
     assert "= 37" in changed and "[4, 18]" in changed and '= "cpu"' in changed
     assert cophase.scene_set(changed, image__peak_snr=None) != changed
     assert "image.pixels = 7" in str(failure(lambda: cophase.scene_set(scene, image__pixels=7)))

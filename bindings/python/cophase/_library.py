@@ -131,10 +131,17 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_toml(item) for item in value)}]"
+        # Words in a list need quotes.
+        return f"[{', '.join(_quoted(item) if isinstance(item, str) else _toml(item) for item in value)}]"
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     return str(value)
+
+
+def _quoted(text: str) -> str:
+    """A basic string of TOML."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
 
 
 def devices() -> dict[str, str]:

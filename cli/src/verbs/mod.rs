@@ -7,10 +7,12 @@ mod bench;
 mod check;
 mod check_orientation;
 mod compare;
+mod completions;
 mod demo;
 mod devices;
 mod estimate;
 mod image;
+mod manual;
 mod merge;
 mod moves;
 mod numbering;
@@ -25,7 +27,7 @@ mod watch;
 
 use crate::interrupt;
 use crate::terminal::{self, Terminal};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use cophase::{Error, Result};
 use std::process::ExitCode;
 
@@ -72,6 +74,8 @@ enum Verb {
     Watch(Box<watch::Arguments>),
     Reproduce(reproduce::Arguments),
     Bench(bench::Arguments),
+    Completions(completions::Arguments),
+    Manual(manual::Arguments),
 }
 
 /// Runs the verb.
@@ -97,6 +101,8 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Watch(arguments) => watch::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
         Verb::Bench(arguments) => bench::run(&arguments, &terminal),
+        Verb::Completions(arguments) => completions::run(&arguments, Cli::command(), &terminal),
+        Verb::Manual(arguments) => return manual::run(&arguments, Cli::command(), &terminal),
     }?;
     Ok(ExitCode::SUCCESS)
 }

@@ -14,6 +14,7 @@ mod filter;
 mod frames;
 mod headers;
 mod interrupt;
+mod manual;
 mod memory;
 mod observe;
 mod odd_images;

@@ -1,0 +1,2 @@
+scene = cophase.preset("keck-onsky")
+frames, slopes_mas = exposures(scene)

@@ -1,0 +1,1 @@
+frames = image_e(cophase.Model(cophase.preset("keck-artificial")))[None]
