@@ -6,6 +6,8 @@ use cophase_cli::reproduce::{Conditions, Progress, PyramidParts, pyramid, statis
 fn a_small_table_behind_a_pyramid_has_its_rows_and_the_leak() {
     let settings = vec![
         ("wavefront_sensor.pixels_across", "20"),
+        // As wide as the samples of the coarse sensor allow.
+        ("image.pixels", "160"),
         ("image.count", "6"),
         ("image.interval_s", "0.05"),
         ("control.settle_s", "0.2"),
