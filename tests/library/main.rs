@@ -22,6 +22,7 @@ mod modes;
 mod night;
 mod night_channels;
 mod observation;
+mod optical_gains;
 mod orientation;
 mod petals;
 mod planner;

@@ -21,6 +21,7 @@ mod on_sky_table;
 mod options;
 mod petals;
 mod pulls;
+mod pyramid;
 mod report;
 mod row_draw;
 mod samples;
@@ -42,10 +43,13 @@ pub use on_sky_table::{OnSky, RowResult, on_sky, reduction_percent};
 pub use options::Options;
 pub use petals::{PetalDraw, PetalPoint, PetalTable, petals};
 pub use pulls::{PullDraw, PullRow, PullTable, pulls};
+pub use pyramid::{
+    FullPhaseReading, PYRAMID_ROWS, PyramidDraw, PyramidLeak, PyramidLeakRow, PyramidParts, PyramidTable, pyramid,
+};
 pub use report::Report;
 pub use row_draw::RowDraw;
 pub use samples::{Samples, SamplesPoint, samples};
-pub use table_rows::{Conditions, Published, ROWS, Row, Segments, VARIANTS};
+pub use table_rows::{Conditions, LoopSensor, Published, ROWS, Row, Segments, VARIANTS};
 pub use target::Target;
 
 pub use crate::experiment::{Bound, Case, Cell, Draw, Progress, Pulls, Shares, Table, Trial, Way, draws, statistics};

@@ -10,10 +10,11 @@ use cophase::ao::{self, Shot, Simulator};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
 use cophase::modal::{ModalEstimate, ModalFitter, Recipe};
-use cophase::scene::Scene;
+use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use cophase::scene::{AoKnowledge, Scene};
 use cophase::source;
 use cophase::{Error, Result};
-use ndarray::{Array2, Array3, ArrayView2, Axis};
+use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 
@@ -115,6 +116,19 @@ impl Sequence {
     /// Number of images.
     pub fn images(&self) -> usize {
         self.images_e.len_of(Axis(0))
+    }
+
+    /// The full-phase estimate of the first `count` images, with their slopes unless `reader` knows less of the loop.
+    ///
+    /// # Errors
+    /// Those of the estimator; [`Error::Interrupted`].
+    pub(super) fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Estimate> {
+        let images_e = self.images_e.slice(s![..count, .., ..]).to_owned();
+        let has_slopes = reader.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
+        let slopes_mas = has_slopes.then(|| self.slopes_mas.slice(s![..count, ..]).to_owned());
+        let images = Images { slopes_mas, ..Images::new(images_e) };
+        let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});
+        Estimator::with_policy(reader, Policy::default(), control)?.estimate(&images)
     }
 }
 
@@ -230,6 +244,14 @@ impl Reader {
             Precision::F64
         };
         Ok(Self { way, estimator: ModalFitter::with_recipe(scene, recipe, false)?, precision })
+    }
+
+    /// The readers of both ways.
+    ///
+    /// # Errors
+    /// As [`Reader::new`].
+    pub(super) fn both(scene: &Scene) -> Result<Vec<Self>> {
+        Way::BOTH.into_iter().map(|way| Self::new(way, scene)).collect()
     }
 
     /// Fits every image of `sequence` and combines them; `None` where none can be fitted.

@@ -8,6 +8,7 @@ use super::table_rows::{Conditions, ROWS, Row, VARIANTS};
 use super::{Cell, Progress, Report, Table, Way};
 use crate::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use cophase::Result;
+use cophase::scene::Scene;
 use std::path::Path;
 
 /// Columns that scripts rely on.
@@ -43,23 +44,19 @@ pub fn on_sky(rows: &[&'static Row], conditions: &Conditions, seeds: usize, prog
     // One pair of readers behind every loop; one for the source inside.
     let pair = |behind_a_loop: bool| -> Result<Vec<Reader>> {
         let first = rows.iter().zip(&scenes).find(|(row, _)| row.has_loop() == behind_a_loop);
-        let ways = first.into_iter().flat_map(|(_, scene)| Way::BOTH.map(|way| Reader::new(way, scene)));
-        ways.collect()
+        first.map_or(Ok(Vec::new()), |(_, scene)| Reader::both(scene))
     };
     let (inside, behind) = (pair(false)?, pair(true)?);
     let steps = scenes.iter().map(|scene| Way::BOTH.len() * scene.image.count).max().unwrap_or(0);
     let mut draws = sequence_draws((rows, seeds), conditions, (progress, steps), |row, seed, sequence| {
         let readers = if row.has_loop() { &behind } else { &inside };
-        let readings = readers.iter().map(|reader| reader.read(&sequence, progress)).collect::<Result<_>>()?;
-        Ok(RowDraw { seed, images: sequence.images(), run: sequence.run, readings })
+        RowDraw::read(seed, &sequence, readers, progress)
     })?
     .into_iter()
     .peekable();
-    let result = |(&row, scene): (&&'static Row, &cophase::scene::Scene)| {
-        let put_in = scene.aberrations.as_ref();
-        let input_nm = put_in.map_or([f64::NAN; 2], |truth| [truth.segment_piston_rms_nm, truth.ncpa_rms_nm]);
+    let result = |(&row, scene): (&&'static Row, &Scene)| {
         let of_row = std::iter::from_fn(|| draws.next_if(|(of, _)| *of == row).map(|(_, draw)| draw));
-        RowResult { row, input_nm, draws: of_row.collect() }
+        RowResult::new(row, scene, of_row.collect())
     };
     Ok(OnSky { rows: rows.iter().zip(&scenes).map(result).collect() })
 }
@@ -74,6 +71,13 @@ fn finite(values: impl Iterator<Item = f64>) -> Vec<f64> {
 }
 
 impl RowResult {
+    /// Draws of `row`, whose aberrations are those of `scene`.
+    pub(super) fn new(row: &'static Row, scene: &Scene, draws: Vec<RowDraw>) -> Self {
+        let put_in = scene.aberrations.as_ref();
+        let input_nm = put_in.map_or([f64::NAN; 2], |truth| [truth.segment_piston_rms_nm, truth.ncpa_rms_nm]);
+        Self { row, input_nm, draws }
+    }
+
     /// Residuals of the seeds that could be fitted, phasing and NCPA, nm.
     pub fn residuals_nm(&self, way: Way) -> [Vec<f64>; 2] {
         let readings = || self.draws.iter().flat_map(|draw| &draw.readings).filter(|reading| reading.way == way);

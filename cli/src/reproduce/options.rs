@@ -17,7 +17,7 @@ pub struct Options {
     pub quick: bool,
     /// The telescope behind the loop.
     pub segments: Segments,
-    /// Rows of `Target::Beyond`, cases of `Target::HardCases`, or parts of names of rows of `Target::Pulls`; none are all.
+    /// Rows of `Target::Beyond` or `Target::Pyramid`, cases of `Target::HardCases`, or parts of names of rows of `Target::Pulls`; none are all.
     pub rows: Vec<String>,
     /// Folder of measured maps of NCPA, each of which is a row of `Target::Beyond`.
     pub maps: Option<PathBuf>,
@@ -29,7 +29,7 @@ impl Options {
     /// What all loops have in common.
     pub(super) fn conditions(&self) -> Conditions {
         let settings = if self.quick { vec![("image.count", QUICK_IMAGES)] } else { Vec::new() };
-        Conditions { segments: self.segments, settings }
+        Conditions { segments: self.segments, settings, ..Default::default() }
     }
 
     /// The draws of the target `name` that are kept in the folder; those of another telescope or of a quick look are not its own.

@@ -1,7 +1,8 @@
 //! One seed of one row of the paper's table.
 
-use super::on_sky::{LoopRun, Reading};
-use super::{KeptDraw, Way, to_cells, to_numbers};
+use super::on_sky::{LoopRun, Reader, Reading, Sequence};
+use super::{KeptDraw, Progress, Way, to_cells, to_numbers};
+use cophase::Result;
 
 /// One seed of one row.
 #[derive(Debug, Clone)]
@@ -14,6 +15,17 @@ pub struct RowDraw {
     pub run: Option<LoopRun>,
     /// In the order of [`Way::BOTH`].
     pub readings: Vec<Reading>,
+}
+
+impl RowDraw {
+    /// What `readers` make of the sequence of draw `seed`.
+    ///
+    /// # Errors
+    /// As [`Reader::read`].
+    pub(super) fn read(seed: usize, sequence: &Sequence, readers: &[Reader], progress: &Progress) -> Result<Self> {
+        let readings = readers.iter().map(|reader| reader.read(sequence, progress)).collect::<Result<_>>()?;
+        Ok(Self { seed, images: sequence.images(), run: sequence.run.clone(), readings })
+    }
 }
 
 impl KeptDraw for RowDraw {

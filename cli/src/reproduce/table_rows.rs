@@ -59,7 +59,8 @@ const fn filtered(modes: &'static str) -> (&'static str, &'static str) {
     ("control.filtered_modes", modes)
 }
 
-const fn behind_the_loop(
+/// A row whose loop has these settings beside those of the preset.
+pub(super) const fn behind_the_loop(
     name: &'static str,
     method: &'static str,
     published: Published,
@@ -151,11 +152,32 @@ impl Segments {
     }
 }
 
+/// Wavefront sensor of the loop, with the preset that has it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LoopSensor {
+    /// The lenslets of the paper: `keck-onsky`.
+    #[default]
+    Lenslets,
+    /// A pyramid on the same telescope under the same turbulence: `keck-pyramid`.
+    Pyramid,
+}
+
+impl LoopSensor {
+    fn preset(self) -> &'static str {
+        match self {
+            LoopSensor::Lenslets => "keck-onsky",
+            LoopSensor::Pyramid => "keck-pyramid",
+        }
+    }
+}
+
 /// What all rows have in common.
 #[derive(Debug, Clone, Default)]
 pub struct Conditions {
     /// The telescope behind the loop.
     pub segments: Segments,
+    /// The sensor of the loop.
+    pub sensor: LoopSensor,
     /// Other settings of the scene behind the loop: (key, value).
     pub settings: Vec<(&'static str, &'static str)>,
 }
@@ -168,7 +190,7 @@ impl Conditions {
     pub fn star(&self) -> Result<Scene> {
         // The paper's images are instantaneous.
         let common = [("image.exposure_s", "0"), ("pupil.segment_side_m", self.segments.side_m())];
-        Scene::preset("keck-onsky")?.with(&common)?.with(&self.settings)
+        Scene::preset(self.sensor.preset())?.with(&common)?.with(&self.settings)
     }
 }
 
@@ -250,7 +272,8 @@ mod tests {
 
     #[test]
     fn conditions_reach_the_scene_and_the_reader_knows_no_loop() {
-        let conditions = Conditions { segments: Segments::Real, settings: vec![("image.count", "7")] };
+        let conditions =
+            Conditions { segments: Segments::Real, settings: vec![("image.count", "7")], ..Default::default() };
         let row = Row::named("mask-coupling").unwrap();
         let scene = row.scene(&conditions).unwrap();
         assert_eq!((scene.pupil.segment_side_m, scene.image.count, scene.image.exposure_s), (0.9, 7, 0.0));

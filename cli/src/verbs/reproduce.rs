@@ -47,7 +47,7 @@ pub struct Arguments {
     /// Telescope behind the AO loop: paper (segments of 0.862 m, a pupil of 10.49 m) or real (0.9 m)
     #[arg(long, value_name = "WHICH", default_value = "paper", value_parser = segments)]
     segments: Segments,
-    /// Row of beyond or of hard-cases to make, by name, or of pulls or channels, by a part of its name; may be given more than once
+    /// Row of beyond, of pyramid or of hard-cases to make, by name, or of pulls or channels, by a part of its name; may be given more than once
     /// [default: all]
     #[arg(long, value_name = "NAME")]
     row: Vec<String>,

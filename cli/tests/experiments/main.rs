@@ -9,4 +9,5 @@ mod numbering;
 mod paper;
 mod plot;
 mod pulls;
+mod pyramid;
 mod ticks;

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn short(images: &'static str) -> Conditions {
     let settings = vec![("image.count", images), ("image.interval_s", "0.05"), ("control.settle_s", "0.2")];
-    Conditions { segments: Segments::Published, settings }
+    Conditions { segments: Segments::Published, settings, ..Default::default() }
 }
 
 fn row(name: &str) -> &'static Row {

@@ -5,9 +5,9 @@ use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::{Conditions, Progress, Way};
 use cophase::ao::Simulator;
 use cophase::metrics::residual_nm;
-use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use cophase::pipeline::Estimate;
 use cophase::pupil::Pupil;
-use cophase::scene::{AoKnowledge, Scene};
+use cophase::scene::Scene;
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
@@ -104,16 +104,6 @@ impl Behind {
         Ok([residual(phasing_nm, &truth.phasing_nm)?, residual(ncpa_nm, &truth.ncpa_nm)?])
     }
 
-    /// The full-phase estimate of the first `count` images.
-    fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Estimate> {
-        let images_e = self.sequence.images_e.slice(s![..count, .., ..]).to_owned();
-        let heard = reader.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
-        let slopes_mas = heard.then(|| self.sequence.slopes_mas.slice(s![..count, ..]).to_owned());
-        let images = Images { slopes_mas, ..Images::new(images_e) };
-        let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});
-        Estimator::with_policy(reader, Policy::default(), control)?.estimate(&images)
-    }
-
     /// Phasing and NCPA in the paper's way; none where nothing can be fitted.
     fn paper_maps(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Option<[Array2<f64>; 2]>> {
         let all = &self.sequence;
@@ -161,7 +151,7 @@ impl BeyondRow {
         progress: &Progress,
     ) -> Result<BeyondDraw> {
         let (reader, count) = (self.reader(made)?, made.image.count.min(behind.sequence.images()));
-        let found = behind.full_phase(&reader, count, progress)?;
+        let found = behind.sequence.full_phase(&reader, count, progress)?;
         let paper_nm = behind.paper_nm(&modal(&reader)?, count, progress)?;
         self.held(behind, &found, count, seed, paper_nm)
     }
@@ -178,7 +168,7 @@ impl BeyondRow {
         let before = self.made(first, conditions, seed)?;
         let behind = Behind::of(Simulator::new(&before)?, progress)?;
         let reader = self.reader(&before)?;
-        let found = behind.full_phase(&reader, before.image.count, progress)?;
+        let found = behind.sequence.full_phase(&reader, before.image.count, progress)?;
         let ours = self.corrected(&found.phasing_nm, conditions, seed, progress)?;
         let Some([phasing_nm, _]) = behind.paper_maps(&modal(&reader)?, before.image.count, progress)? else {
             return Err(Error::Image(format!("the paper's way found nothing behind the loop {first}")));
@@ -187,7 +177,7 @@ impl BeyondRow {
         let made = self.made(self.row, conditions, seed)?;
         let (reader, count) = (self.reader(&made)?, made.image.count);
         let paper_nm = paper.paper_nm(&modal(&reader)?, count, progress)?;
-        self.held(&ours, &ours.full_phase(&reader, count, progress)?, count, seed, paper_nm)
+        self.held(&ours, &ours.sequence.full_phase(&reader, count, progress)?, count, seed, paper_nm)
     }
 
     /// Images behind the row's own loop with the pistons of draw `seed` less those of an estimate.

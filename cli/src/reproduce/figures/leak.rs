@@ -9,6 +9,7 @@ use cophase::Result;
 use cophase::ao::Simulator;
 use cophase::ao::UNDISTURBED_LOOP;
 use cophase::scene::Scene;
+use ndarray::Array2;
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -59,7 +60,8 @@ impl LeakCase {
     }
 
     fn scene(&self) -> Result<Scene> {
-        let conditions = Conditions { segments: self.segments, settings: UNDISTURBED_LOOP.to_vec() };
+        let conditions =
+            Conditions { segments: self.segments, settings: UNDISTURBED_LOOP.to_vec(), ..Default::default() };
         let fraction = self.mask_dominant_fraction.to_string();
         setup::row(self.row)?.scene(&conditions)?.with_override("wavefront_sensor.mask_dominant_fraction", &fraction)
     }
@@ -138,24 +140,9 @@ impl LeakCase {
     /// Closes the loop of `scene` until the mirror is at rest; maps of the first draw only.
     fn settle(&self, scene: &Scene, seed: usize) -> Result<(LeakDraw, Vec<CaptionedMap>)> {
         let mut simulator = Simulator::new(scene)?;
-        let mut commands_nm = vec![0.0; simulator.influence().indices().len()];
-        let mut frames = None;
-        while frames.is_none() && simulator.frames() < MOST_FRAMES {
-            let frame = simulator.step()?;
-            let moved = frame.commands_nm.iter().zip(&commands_nm).map(|(now, then)| (now - then).abs());
-            // The first frame sees the flat mirror that the loop starts with.
-            if moved.fold(0.0, f32::max) < STILL_NM && frame.number > 0 {
-                frames = Some(frame.number);
-            }
-            commands_nm.copy_from_slice(frame.commands_nm);
-        }
+        let (commands_nm, frames) = settled_commands_nm(&mut simulator)?;
+        let maps_nm = wavefront_maps(&mut simulator, &commands_nm)?;
         let pupil = simulator.pupil().clone();
-        let input_nm = setup::on_pupil(&simulator, simulator.segments_nm());
-        let surface_nm = simulator.surface_nm(&commands_nm)?;
-        let mirror_nm = setup::on_pupil(&simulator, &surface_nm);
-        let residual_nm = &input_nm - &mirror_nm;
-        let level = |map_nm: ndarray::Array2<f64>| pupil.remove_piston_tip_tilt(map_nm.view());
-        let maps_nm = [level(input_nm)?, level(mirror_nm)?, level(residual_nm)?];
         let rms = |map: usize| pupil.rms(maps_nm[map].view());
         let draw = LeakDraw {
             seed,
@@ -173,6 +160,38 @@ impl LeakCase {
         });
         Ok((draw, maps.collect::<Result<_>>()?))
     }
+}
+
+/// Commands of the mirror once it is at rest, nm, and the frames until then; of a mirror that still moves at the end no number of frames.
+///
+/// # Errors
+/// Those of [`Simulator::step`].
+pub(in crate::reproduce) fn settled_commands_nm(simulator: &mut Simulator) -> Result<(Vec<f32>, Option<u64>)> {
+    let mut commands_nm = vec![0.0; simulator.influence().indices().len()];
+    let mut frames = None;
+    while frames.is_none() && simulator.frames() < MOST_FRAMES {
+        let frame = simulator.step()?;
+        let moved = frame.commands_nm.iter().zip(&commands_nm).map(|(now, then)| (now - then).abs());
+        // The first frame sees the flat mirror that the loop starts with.
+        if moved.fold(0.0, f32::max) < STILL_NM && frame.number > 0 {
+            frames = Some(frame.number);
+        }
+        commands_nm.copy_from_slice(frame.commands_nm);
+    }
+    Ok((commands_nm, frames))
+}
+
+/// Segment errors, the mirror's surface for `commands_nm`, and what is between them on the pupil, nm, piston, tip and tilt removed.
+///
+/// # Errors
+/// Those of [`Simulator::surface_nm`].
+pub(in crate::reproduce) fn wavefront_maps(simulator: &mut Simulator, commands_nm: &[f32]) -> Result<[Array2<f64>; 3]> {
+    let input_nm = setup::on_pupil(simulator, simulator.segments_nm());
+    let surface_nm = simulator.surface_nm(commands_nm)?;
+    let mirror_nm = setup::on_pupil(simulator, &surface_nm);
+    let residual_nm = &input_nm - &mirror_nm;
+    let level = |map_nm: Array2<f64>| simulator.pupil().remove_piston_tip_tilt(map_nm.view());
+    Ok([level(input_nm)?, level(mirror_nm)?, level(residual_nm)?])
 }
 
 impl Leak {

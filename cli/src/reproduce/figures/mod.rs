@@ -19,6 +19,7 @@ mod strehl;
 pub use corrected::{Amplitude, State};
 pub use layers::{LayerRow, Layers, layers};
 pub use leak::{Leak, LeakCase, LeakDraw, LeakRow, leak};
+pub(super) use leak::{settled_commands_nm, wavefront_maps};
 pub use modes::{ModalDraw, Modes, modes};
 pub use psd::{Psds, StatePsd, psd};
 pub use strehl::{StrehlDraw, Strehls, strehl};
