@@ -52,7 +52,7 @@ impl RetrievedOptics {
         if !amplitudes.is_empty() {
             telescope = telescope.with_amplitudes(amplitudes)?;
         }
-        let [given, found] = [given, &scene].map(|scene| OpticsParameter::all(scene));
+        let [given, found] = [given, &scene].map(OpticsParameter::all);
         let change = given.iter().filter_map(|given| {
             let found = found.iter().find(|found| found.key == given.key)?;
             (found.own != given.own).then_some(OpticsChange { key: given.key, given: given.own, found: found.own })
