@@ -69,11 +69,12 @@ impl ModalFitter {
                 again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
                 let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());
                 if is_same_minimum(after, before) {
+                    // The first fit is kept: the other may differ from it by whole wavelengths of pistons.
                     confirmed[image] += 1;
-                } else if after < before {
+                    fits[image].minimum.evaluations += again.minimum.evaluations;
+                } else if fits[image].improve(again) {
                     confirmed[image] = 0;
                 }
-                fits[image].improve(again);
             }
         }
         if self.recipe.restarts > 0 {
