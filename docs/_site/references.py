@@ -171,7 +171,10 @@ class StatusReference(Reference):
             if item.name.startswith("COPHASE_IMAGE_"):
                 word = item.name.removeprefix("COPHASE_IMAGE_")
                 meaning = item.comment.removeprefix("Image status: ")
-                images.append([str(item.value), f":c:macro:`{item.name}`", f"``{word}``", inline(meaning)])
+                in_files = word.lower().replace("_", "-")
+                images.append(
+                    [str(item.value), f":c:macro:`{item.name}`", f"``{word}``", f"``{in_files}``", inline(meaning)]
+                )
                 continue
             word = item.name.removeprefix("COPHASE_")
             python = f":py:exc:`cophase.{exceptions[word]}`" if word in exceptions else ""
@@ -182,7 +185,7 @@ class StatusReference(Reference):
                 heading("Calls", "-"),
                 table(["Number", "C", "Python", "MATLAB and Octave", "Meaning"], calls),
                 heading("Images", "-"),
-                table(["Number", "C", "Python, MATLAB and files", "Meaning"], images),
+                table(["Number", "C", "Python, MATLAB", "Program, files", "Meaning"], images),
             ]
         )
 
