@@ -184,12 +184,11 @@ impl Work<'_> {
         Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
     }
 
-    /// Fits the images, and says where one is in focus and the scene has a defocus, or the reverse, if the scene does not explain them. Where
-    /// they cannot be fitted for that, they are with the defocus that is seen.
+    /// Fits the images, and finds where one is in focus and the scene has a defocus, which NCPA of the opposite focus may explain; or the reverse,
+    /// if the scene does not explain them. Where they cannot be fitted for that, they are with the defocus that is seen.
     fn first_fit(&self, scene: &Scene, cache: &BasisCache) -> Result<(Fitted, Option<Finding>)> {
         let first = self.fit(scene, cache);
         let image = match &first {
-            Ok(fitted) if fitted.is_explained() => return first.map(|fitted| (fitted, None)),
             Ok(fitted) => fitted.fit.1.used_images.first().copied().unwrap_or_default(),
             Err(Error::Image(_)) => 0,
             Err(_) => return first.map(|fitted| (fitted, None)),
@@ -201,6 +200,8 @@ impl Work<'_> {
             return first.map(|fitted| (fitted, None));
         };
         let fitted = match first {
+            // Aberrations alone may blur an image in focus.
+            Ok(fitted) if fault.settings.is_empty() && fitted.is_explained() => return Ok((fitted, None)),
             Ok(fitted) => fitted,
             Err(error) if fault.settings.is_empty() => {
                 return Err(Error::Image(format!("{error}; {}", fault.explanation)));
