@@ -214,7 +214,7 @@ impl SensorModel {
     /// Measures the reference slopes for 1 nm of each mode, `[mode, slope]`, mas, from the response about the images' wavefronts.
     ///
     /// A slope that depends on its own subaperture alone has the response of a flat wavefront times the mean gain that the turbulence of the images
-    /// leaves it. Steps between segments reduce it further (by 4 % behind pistons of 128 nm RMS), but they are corrected with the NCPA.
+    /// leaves it. Steps between segments reduce it further, but they are corrected with the NCPA.
     fn measure_references(&mut self, response_mas: &Array2<f64>, rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         if !self.sensor.is_local() {
             return Ok(response_mas * self.gain);

@@ -98,8 +98,8 @@ const SUSPICIOUS: f64 = 3.0;
 const MODEL_ERROR: f64 = 5e-4;
 /// Relative error of a coarser model: 64 samples across seven segments have an excess of 0.08 at a peak S/N of 100 (3e-3 of the signal).
 const COARSE_MODEL_ERROR: f64 = 4e-3;
-/// Largest excess of χ² over its expectation that is put down to a coarser model, and to the model of a bright star, which is then no longer good
-/// enough for the light. Error bars scaled by √χ² are within 15 % of those of the noise.
+/// Largest excess of χ² over its expectation that is put down to a coarser model, and to any model: beyond, it is not good enough for the light.
+/// Up to the second error bars scaled by √χ² are within 15 % of those of the noise.
 const MODEL_EXCESS: [f64; 2] = [0.1, 0.3];
 /// Least fraction of the expectation that is accepted. It matters only for a handful of photons, whose χ² scatters by more than
 /// its expectation; an image that was normalised to a sum of 1 has 1e-9 of it or less.
@@ -117,7 +117,7 @@ const FAINT: f64 = 12.0;
 fn explained(chi2: &ReducedChi2) -> [f64; 2] {
     let least = (chi2.least - SIGNIFICANT * chi2.scatter).max(LEAST_FRACTION * chi2.least);
     let coarse = chi2.excess(COARSE_MODEL_ERROR).min(MODEL_EXCESS[0]);
-    let excess = chi2.excess(MODEL_ERROR).min(MODEL_EXCESS[1]).max(coarse);
+    let excess = chi2.excess(MODEL_ERROR).clamp(coarse, MODEL_EXCESS[1]);
     [least, 1.0 + excess + SIGNIFICANT * chi2.scatter]
 }
 
