@@ -30,23 +30,21 @@ _RESULT = re.compile(r"^ *(\w.*): (-?[\d.]+) ± ([\d.]+) nm", re.MULTILINE)
 
 # The images of two languages have the same truth and independent noise, so their difference has a standard deviation of sqrt(2)
 # sigma; 4 of these are exceeded by 1 of 16,000. Error bars depend on the noise where channels are combined: they are scaled by the
-# root of the reduced chi-square of 17 degrees of freedom where that is above 1, which exceeds 1.65 as rarely.
+# root of the reduced chi-square of 17 degrees of freedom where that is above 1, which exceeds 1.65 in 1 of 6,000.
 _STANDARD_DEVIATIONS = 4.0
 _ERROR_BAR_RATIO = 1.65
 
 
 class TutorialForm(SphinxDirective):
-    """`.. tutorial-form:: FILE`: a file of docs/tutorials, and what it prints."""
+    """`.. tutorial-form:: FILE [HEADER]`: a file of docs/tutorials, behind a header if one is named, and what it prints."""
 
     required_arguments = 1
+    optional_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         path = TUTORIALS / self.arguments[0]
-        shown = [TUTORIALS / "tutorial.h", path] if path.suffix == ".c" else [path]
-        found: list[nodes.Node] = []
-        for file in shown:
-            self.env.note_dependency(str(file))
-            found.append(self._code(file))
+        shown = [*(TUTORIALS / header for header in self.arguments[1:]), path]
+        found = [self._code(file) for file in shown]
         printed = _printed(path)
         if printed is None:
             return [*found, nodes.paragraph("", "Octave was not installed where this page was made: the script was not run.")]
@@ -55,9 +53,10 @@ class TutorialForm(SphinxDirective):
         if problems:
             raise self.error(f"{path.name} and the tutorial in Python disagree: {'; '.join(problems)}")
         output = nodes.literal_block(printed, printed, language="none", classes=["sphx-glr-script-out"])
-        return [*found, nodes.paragraph("", "It prints:"), output]
+        return [*found, output]
 
     def _code(self, file: Path) -> nodes.Node:
+        self.env.note_dependency(str(file))
         text = file.read_text("utf-8")
         block = nodes.literal_block(text, text, language="c" if file.suffix in {".c", ".h"} else "matlab")
         caption = nodes.caption("", file.name)

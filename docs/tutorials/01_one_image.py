@@ -74,7 +74,7 @@ maps = {
     "NCPA, one sigma": estimate.ncpa_sigma_nm,
 }
 for axis, (title, map_nm) in zip(axes.flat, maps.items()):
-    largest = np.nanmax(np.abs(map_nm))
+    largest = np.nanpercentile(np.abs(map_nm), 99)
     colours = {"vmin": 0, "cmap": "viridis"} if "sigma" in title else {"vmin": -largest, "cmap": "RdBu_r"}
     picture = axis.imshow(map_nm, origin="lower", vmax=largest, **colours)
     axis.set_title(title)
@@ -112,4 +112,4 @@ assert 0.5 < normalised.std() < 2, normalised
 # The same in C
 # -------------
 #
-# .. tutorial-form:: one_image.c
+# .. tutorial-form:: one_image.c tutorial.h

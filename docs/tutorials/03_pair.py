@@ -121,4 +121,6 @@ assert np.abs(estimates["pair, defocus fitted"].coefficients_nm - truth_nm).max(
 # The same in C
 # -------------
 #
+# ``tutorial.h`` is that of :doc:`01_one_image`.
+#
 # .. tutorial-form:: pair.c

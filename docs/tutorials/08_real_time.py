@@ -115,6 +115,8 @@ print(late.status, f"after {late.reports.evaluations} evaluations, error {error(
 #
 # The loop neither allocates nor waits: all memory comes before it.
 #
+# ``tutorial.h`` is that of :doc:`01_one_image`.
+#
 # .. tutorial-form:: real_time.c
 #
 # :doc:`/c-realtime` goes on with threads, priorities and latencies.
