@@ -37,7 +37,7 @@ impl MirrorShape {
             let (along, actuators) = influence.along(&coordinates_m);
             Functions::Separable { along, actuators: actuators.to_vec() }
         } else {
-            Functions::Measured(moved_samples(influence, samples, &coordinates_m))
+            Functions::Measured(moved_samples(influence, &samples.indices, &coordinates_m))
         };
         Self { samples: n, indices: samples.indices.clone(), functions }
     }
@@ -71,17 +71,17 @@ impl MirrorShape {
     }
 }
 
-/// Number of each illuminated sample that an actuator moves, and the influence on it.
-fn moved_samples(
+/// Number of each of the samples with these flat `indices` that an actuator moves, and the influence on it, on the square grid with these
+/// coordinates along both axes.
+pub(super) fn moved_samples(
     influence: &InfluenceFunctions,
-    samples: &IlluminatedSamples,
+    indices: &[usize],
     coordinates_m: &[f64],
 ) -> Vec<Vec<(u32, f64)>> {
-    let n = samples.samples;
+    let n = coordinates_m.len();
     let mut numbers = vec![None; n * n];
-    samples.indices.iter().zip(0u32..).for_each(|(&index, number)| numbers[index] = Some(number));
-    let windows = (0..influence.len()).filter_map(|actuator| influence.window(actuator, coordinates_m));
-    let moved = windows.map(|window| {
+    indices.iter().zip(0u32..).for_each(|(&index, number)| numbers[index] = Some(number));
+    let moved = influence.windows(coordinates_m).into_iter().map(|window| {
         let values = window.values.indexed_iter().filter(|(_, value)| **value != 0.0);
         let at = |(y, x): (usize, usize)| (window.rows.start + y) * n + window.columns.start + x;
         values.filter_map(|(place, &value)| Some((numbers[at(place)]?, value))).collect()

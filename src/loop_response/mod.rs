@@ -5,6 +5,7 @@ mod controller;
 mod correction_file;
 mod corrections;
 mod gain_loss;
+mod mirror_fit;
 mod mirror_shape;
 mod segment_layout;
 mod segment_surface;

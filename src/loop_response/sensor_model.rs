@@ -4,13 +4,15 @@
 //! the turbulence, its aliases, the mirror and the segments cancel image by image, and the scatter is that of the noise of sensor
 //! and retrieval: 2 nm of a mode in an image instead of 20.
 
-use super::gain_loss::mean_gains;
+use super::gain_loss::loop_gains;
+use super::mirror_fit::MirrorFit;
 use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::{SlopeRegression, slope_gain};
-use crate::ao::{Footprint, Lenslets, Sensor, sensor_pupil};
+use crate::ao::{Footprint, Lenslets, Sensor, actuators_in_use, sensor_pupil};
 use crate::machine;
-use crate::modes::{Samples, SmoothBasis};
+use crate::modes::{InfluenceFunctions, Samples, SmoothBasis};
+use crate::pupil::Grid;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
@@ -43,8 +45,11 @@ pub struct SensorModel {
     interpolation: Vec<[(u32, f64); 4]>,
     /// Modes at the samples of the sensor, `[mode, sample]`.
     modes: Array2<f64>,
-    /// Wavefronts that rise along x and along y, by which the gains of single slopes are measured, nm.
-    tilts_nm: [Array1<f64>; 2],
+    /// The samples of the sensor, and their grid.
+    samples: Samples,
+    grid: Grid,
+    /// The mirror that takes corrections of the NCPA.
+    mirror: Option<InfluenceFunctions>,
     map_nm: Vec<f32>,
     slopes_mas: Vec<f32>,
     /// Response of the slopes to the modes, once it is measured.
@@ -90,7 +95,9 @@ impl SensorModel {
             surface: SegmentSurface::new(&owned, &pupil, &telescope.pupil),
             interpolation: interpolation(samples, &fine),
             modes: basis.evaluate(&fine.xs_m, &fine.ys_m)?,
-            tilts_nm: [&fine.xs_m, &fine.ys_m].map(|c_m| c_m.iter().map(|c_m| c_m * TILT_NM_PER_M).collect()),
+            samples: fine,
+            grid: pupil.grid,
+            mirror: scene.has_mirror().then(|| actuators_in_use(scene, telescope)).transpose()?,
             map_nm: footprint.zeros().to_vec(),
             slopes_mas: vec![0.0; sensor.slopes()],
             response: None,
@@ -213,8 +220,12 @@ impl SensorModel {
 
     /// Measures the reference slopes for 1 nm of each mode, `[mode, slope]`, mas, from the response about the images' wavefronts.
     ///
-    /// A slope that depends on its own subaperture alone has the response of a flat wavefront times the mean gain that the turbulence of the images
+    /// A slope that depends on its own subaperture alone has the response of a flat wavefront times the gain that the turbulence of the images
     /// leaves it. Steps between segments reduce it further, but they are corrected with the NCPA.
+    ///
+    /// The loop is to make the shape that is nearest to a mode over the pupil, so the response is that of this shape. About the slopes of the mode itself it
+    /// would make the shape whose slopes are nearest: what the mirror leaves has slopes, too, which it would answer with other shapes (of 72 nm of NCPA on
+    /// Keck 4.1 nm are left, with slopes that are averages of gradients, in place of 2.8).
     fn measure_references(&mut self, response_mas: &Array2<f64>, rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         if !self.sensor.is_local() {
             return Ok(response_mas * self.gain);
@@ -225,8 +236,18 @@ impl SensorModel {
         for (mut response_mas, rest_nm) in responses_mas.outer_iter_mut().zip(rests_nm) {
             response_mas.assign(&self.tilt_response_mas(&segments_nm, rest_nm)?);
         }
-        let gains = mean_gains(responses_mas.view(), flat_mas.view()) * self.gain;
-        Ok(self.measure_response(&segments_nm, &[flat_nm])? * &gains)
+        let mirror = self.mirror.as_ref();
+        let actuators = mirror.map_or(0, InfluenceFunctions::len);
+        let share = (actuators as f64 / self.slopes() as f64).min(1.0);
+        let gains = loop_gains(responses_mas.view(), flat_mas.view(), share) * self.gain;
+        let mirror = mirror.map(|mirror| MirrorFit::new(mirror, &self.samples, self.grid)).transpose()?;
+        let mut references = Array2::zeros(response_mas.dim());
+        for (mode, mut reference) in references.outer_iter_mut().enumerate() {
+            let mode_nm = self.modes.row(mode);
+            let taken_nm = mirror.as_ref().map_or_else(|| mode_nm.to_owned(), |mirror| mirror.shape_nm(mode_nm));
+            reference.assign(&(self.response_to(&taken_nm, &segments_nm, &flat_nm)? * &gains));
+        }
+        Ok(references)
     }
 
     /// Slopes along the axis of a tilt of each subaperture's wavefront, about a wavefront.
@@ -234,25 +255,35 @@ impl SensorModel {
         let half = self.slopes() / 2;
         let mut response_mas = Array1::zeros(2 * half);
         for (axis, slopes) in [s![..half], s![half..]].into_iter().enumerate() {
-            let [tilted_up, tilted_down] = [rest_nm + &self.tilts_nm[axis], rest_nm - &self.tilts_nm[axis]];
-            let change_mas =
-                self.measure(segments_nm, tilted_up.view())? - self.measure(segments_nm, tilted_down.view())?;
-            response_mas.slice_mut(slopes).assign(&change_mas.slice(slopes));
+            let places_m = if axis == 0 { &self.samples.xs_m } else { &self.samples.ys_m };
+            let tilt_nm: Array1<f64> = places_m.iter().map(|place_m| place_m * TILT_NM_PER_M / POKE_NM).collect();
+            response_mas.slice_mut(slopes).assign(&self.response_to(&tilt_nm, segments_nm, rest_nm)?.slice(slopes));
         }
         Ok(response_mas)
+    }
+
+    /// Slopes for a wavefront, of 1 nm as a mode, about another one: half the difference of a push and a pull, mas.
+    fn response_to(
+        &mut self,
+        shape_nm: &Array1<f64>,
+        segments_nm: &[f64],
+        rest_nm: &Array1<f64>,
+    ) -> Result<Array1<f64>> {
+        let poke_nm = shape_nm * POKE_NM;
+        let push_mas = self.measure(segments_nm, (rest_nm + &poke_nm).view())?;
+        let pull_mas = self.measure(segments_nm, (rest_nm - &poke_nm).view())?;
+        Ok((push_mas - pull_mas) * (0.5 / POKE_NM))
     }
 
     /// Measures the slopes for 1 nm of each mode about some of the wavefronts, `[mode, slope]`, mas.
     fn measure_response(&mut self, segments_nm: &[f64], rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         let count = RESPONSE_IMAGES.min(rests_nm.len());
         let mut response = Array2::zeros((self.modes.nrows(), self.slopes()));
-        for mode in 0..self.modes.nrows() {
-            let poke_nm = &self.modes.row(mode) * POKE_NM;
+        for (mode, mut response) in response.outer_iter_mut().enumerate() {
+            let mode_nm = self.modes.row(mode).to_owned();
             for share in 0..count {
                 let rest_nm = &rests_nm[share * rests_nm.len() / count];
-                let push = self.measure(segments_nm, (rest_nm + &poke_nm).view())?;
-                let pull = self.measure(segments_nm, (rest_nm - &poke_nm).view())?;
-                response.row_mut(mode).scaled_add(0.5 / (POKE_NM * count as f64), &(push - pull));
+                response.scaled_add(1.0 / count as f64, &self.response_to(&mode_nm, segments_nm, rest_nm)?);
             }
         }
         Ok(response)

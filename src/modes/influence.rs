@@ -244,6 +244,32 @@ impl InfluenceFunctions {
         Some(measured.window(actuator, self.position_m(self.indices[actuator]), coordinates_m))
     }
 
+    /// Function of each actuator on the square grid with these coordinates along both axes, ascending. Those of a Gaussian end where they are below 10⁻⁸.
+    pub(crate) fn windows(&self, coordinates_m: &[f64]) -> Vec<InfluenceWindow> {
+        if !self.is_separable() {
+            return (0..self.len()).filter_map(|actuator| self.window(actuator, coordinates_m)).collect();
+        }
+        const NEGLIGIBLE: f64 = 1e-8;
+        let (along, actuators) = self.along(coordinates_m);
+        // Of a function with one maximum.
+        let range = |line: usize| {
+            let values = along.row(line);
+            let first = values.iter().position(|value| *value > NEGLIGIBLE).unwrap_or(0);
+            let last = values.iter().rposition(|value| *value > NEGLIGIBLE).map_or(first, |last| last + 1);
+            first..last
+        };
+        let across = along.nrows();
+        let window = |&actuator: &usize| {
+            let (row, column) = (actuator / across, actuator % across);
+            let (rows, columns) = (range(row), range(column));
+            let values = Array2::from_shape_fn((rows.len(), columns.len()), |(y, x)| {
+                along[[row, rows.start + y]] * along[[column, columns.start + x]]
+            });
+            InfluenceWindow { rows, columns, values }
+        };
+        actuators.iter().map(window).collect()
+    }
+
     /// The mirror.
     pub fn mirror(&self) -> &Mirror {
         &self.mirror

@@ -3,16 +3,12 @@
 use super::errors::NcpaModes;
 use crate::Result;
 use crate::ao::actuators_in_use;
-use crate::linear_algebra::SpdInverse;
+use crate::loop_response::mirror_fit::MirrorFit;
 use crate::modes::Samples;
 use crate::pupil::Pupil;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use ndarray::{Array1, Array2, ArrayView1};
-
-/// Regularisation of the fit of the mirror's commands, as a fraction of the strongest actuator's: bounds the commands of actuators
-/// at the edge of the pupil.
-const REGULARISATION: f64 = 1e-4;
 
 /// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
 /// pupil. The mirror is subtracted from the wavefront.
@@ -24,16 +20,11 @@ pub(super) fn mirror_commands(
 ) -> Result<Vec<([f64; 2], f64)>> {
     let samples = Samples::from_pupil(&telescope.pupil)?;
     let influence = actuators_in_use(scene, telescope)?;
-    let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
-    let weighted = &shapes * &ArrayView1::from(&samples.weights);
     let wanted_nm = match modes {
         NcpaModes::Smooth(basis) => ArrayView1::from(ncpa_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?),
         NcpaModes::Maps(map_nm) => without_pointing(&telescope.pupil, &samples, &map_nm(ncpa_nm))?,
     };
-    let mut gram = weighted.dot(&shapes.t());
-    let strongest = gram.diag().iter().copied().fold(0.0, f64::max);
-    gram.diag_mut().iter_mut().for_each(|value| *value += REGULARISATION * strongest);
-    let commands_nm: Array1<f64> = SpdInverse::new(&gram)?.inverse.dot(&weighted.dot(&wanted_nm));
+    let commands_nm = MirrorFit::new(&influence, &samples, telescope.pupil.grid)?.commands_nm(wanted_nm.view());
     let positions_m = influence.positions_m().into_iter().map(|(x_m, y_m)| [x_m, y_m]);
     Ok(positions_m.zip(commands_nm).collect())
 }
