@@ -25,6 +25,7 @@ extensions = [
     "_site.mathml",
     "_site.matlab_help",
     "_site.docstrings",
+    "_site.forms",
     "_site.references",
     "_site.repository",
     "_site.rust",

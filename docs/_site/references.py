@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -217,35 +218,46 @@ class FileReference(Reference):
 
 @cache
 def written_files() -> list[tuple[str, str, list[fits.Hdu]]]:
-    """Title, command and HDUs of each kind of file. The scenes of the tests are small: all takes some seconds."""
+    """Title, command and HDUs of each kind of file. The scenes of the tests are small: all takes 10 s."""
     tests = ROOT / "tests/c_api"
+    tiny = tests / "tiny.toml"
     artificial = ["--set", "aberrations.segment_piston_rms_nm=30", "--set", "image.peak_snr=100"]
+    watch = ["watch", "frames", "--scene", tiny, "--state", "night.db", "--once", "--no-page", "--corrections", "watched.fits"]
+    # Segments whose reflectivities the images show to differ, and controllers, so that their HDUs are written.
+    uneven = [*("--set", "image.count=3"), *("--set", "image.peak_snr=300"), *("--set", "faults.segment_reflectivity_rms=0.3")]
+    tables = {"segments.txt": 36, "actuators.txt": 79}
+    channels = ["--set", "commands.segment_file=segments.txt", "--set", "commands.actuator_file=actuators.txt"]
     commands: list[tuple[str, list[str | Path], dict[str, str]]] = [
-        ("Simulated images", ["image", tests / "tiny.toml", "-o", "images.fits", *artificial], {"images.fits": ""}),
+        ("Simulated images", ["image", tiny, "-o", "images.fits", *artificial], {"images.fits": ""}),
         (
             "Estimate",
-            ["estimate", "images.fits", "-o", "est.fits", "--opd", "opd.fits"],
+            ["estimate", "images.fits", "-o", "est.fits", "--opd", "opd.fits", "--set", 'estimate.fit_optics=["plate-scale"]'],
             {"est.fits": "", "opd.fits": "OPD map"},
         ),
+        ("Part of an estimate", ["estimate", "images.fits", "-o", "part.fits", "--part", "1/1"], {"part.fits": ""}),
+        ("Reduced images", ["reduce", "images.fits", "--scene", tiny, "-o", "frames/reduced.fits"], {"frames/reduced.fits": ""}),
+        ("Watch", watch, {}),
+        ("Night", ["watch", "--export", "night.fits", "--state", "night.db"], {"night.fits": ""}),
         (
             "Simulated exposures behind adaptive optics",
-            ["simulate", tests / "small.toml", "-o", "onsky.fits", "--aot", "aot.fits", "--set", "image.count=3"],
+            ["simulate", tests / "small.toml", "-o", "onsky.fits", "--aot", "aot.fits", *uneven],
             {"onsky.fits": "", "aot.fits": "Exposures behind adaptive optics in the format AOT"},
         ),
         (
             "MAP estimate",
-            ["estimate", "onsky.fits", "-o", "deep.fits", "--method", "full-phase", "--commands", "corrections.fits"],
+            ["estimate", "onsky.fits", "-o", "deep.fits", "--method", "full-phase", "--commands", "corrections.fits", *channels],
             {"deep.fits": "", "corrections.fits": "Corrections"},
         ),
     ]
     found = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        (folder / "frames").mkdir()
+        for file, count in tables.items():
+            (folder / file).write_text("".join(f"{number} channel-{number} 0.001\n" for number in range(count)), "utf-8")
         for title, words, files in commands:
             program.run(*words, folder=folder)
-            shown = " ".join(str(word) for word in words if not isinstance(word, Path))
-            scene = next((word.name for word in words if isinstance(word, Path)), "")
-            command = f"cophase {shown}".replace(" -o", f" {scene} -o" if scene else " -o", 1)
+            command = shlex.join(["cophase", *(word.name if isinstance(word, Path) else word for word in words)])
             for file, other in files.items():
                 found.append((other or title, command, fits.read(folder / file)))
     return found

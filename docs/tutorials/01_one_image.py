@@ -21,7 +21,7 @@ scene = cophase.scene_set(
     cophase.preset("keck-artificial"),
     image__samples_per_lambda_over_d=2,
     image__pixels=128,
-    image__peak_snr=200,
+    image__crop_pixels=128,
 )
 model = cophase.Model(scene)
 print(model)
@@ -30,23 +30,19 @@ print(model)
 # An image
 # --------
 #
-# The truth: piston errors of 64 nm RMS, and 73 nm RMS of NCPA in the Zernike modes 4 (focus) to 18. The image follows from
-# the PSF of the model: photons, read noise.
+# The truth: pistons of 64 nm RMS, and 73 nm RMS of NCPA in the Zernike modes 4 (focus) to 18. The image follows from the PSF
+# of the model: photons, read noise.
+
+segments = slice(0, model.segment_modes)
+truth_nm = np.zeros(model.modes)
+truth_nm[segments] = 90 * np.sin(4 * np.arange(model.segment_modes))
+for noll in range(4, 19):
+    truth_nm[model.mode_names.index(f"noll-{noll}")] = 27 * np.cos(5 * noll)
 
 random = np.random.default_rng(1)
-zernikes = [model.mode_names.index(f"noll-{noll}") for noll in range(4, 19)]
-truth_nm = np.zeros(model.modes)
-truth_nm[: model.segment_modes] = 64 * random.standard_normal(model.segment_modes)
-truth_nm[zernikes] = random.standard_normal(len(zernikes))
-truth_nm[zernikes] *= 73 / np.linalg.norm(truth_nm[zernikes])
-
-psf = model.psf(truth_nm)
 read_noise_e = 60.0
-rows, cols = model.frame_shape
-frame_e = np.zeros((rows, cols))
-inner = tuple(slice(size // 2 - model.pixels // 2, size // 2 + model.pixels // 2) for size in (rows, cols))
-frame_e[inner] = psf * 200**2 / psf.max()
-frame_e = random.poisson(frame_e) + read_noise_e * random.standard_normal(frame_e.shape)
+psf = model.psf(truth_nm)
+frame_e = random.poisson(200**2 * psf / psf.max()) + read_noise_e * random.standard_normal(psf.shape)
 
 figure, axis = plt.subplots(figsize=(5, 4), layout="constrained")
 picture = axis.imshow(np.sqrt(frame_e.clip(0)), origin="lower", cmap="inferno")
@@ -64,6 +60,8 @@ plt.show()
 
 estimate = cophase.Estimator(scene).estimate(frame_e, read_noise_e=read_noise_e)
 print(estimate.report())
+print(f"phasing: {estimate.info.phasing_rms_nm:.2f} ± {estimate.info.phasing_sigma_nm:.2f} nm")
+print(f"NCPA: {estimate.info.ncpa_rms_nm:.2f} ± {estimate.info.ncpa_sigma_nm:.2f} nm")
 
 # %%
 # Maps of the wavefront and of its error bars:
@@ -76,7 +74,7 @@ maps = {
     "NCPA, one sigma": estimate.ncpa_sigma_nm,
 }
 for axis, (title, map_nm) in zip(axes.flat, maps.items()):
-    largest = np.nanmax(np.abs(map_nm))
+    largest = np.nanpercentile(np.abs(map_nm), 99)
     colours = {"vmin": 0, "cmap": "viridis"} if "sigma" in title else {"vmin": -largest, "cmap": "RdBu_r"}
     picture = axis.imshow(map_nm, origin="lower", vmax=largest, **colours)
     axis.set_title(title)
@@ -91,7 +89,6 @@ plt.show()
 # The piston of each segment against the truth, with its error bar. An image does not depend on the mean of all pistons, which
 # is 0 in the estimate. The normalised residuals should scatter by about 1.
 
-segments = slice(0, model.segment_modes)
 true_nm = truth_nm[segments] - truth_nm[segments].mean()
 found_nm, sigma_nm = estimate.coefficients_nm[segments], estimate.sigma_nm[segments]
 
@@ -105,3 +102,14 @@ plt.show()
 normalised = (found_nm - true_nm) / sigma_nm
 print(f"scatter of the normalised residuals: {normalised.std():.2f}")
 assert 0.5 < normalised.std() < 2, normalised
+
+# %%
+# The same in MATLAB and Octave
+# -----------------------------
+#
+# .. tutorial-form:: one_image.m
+#
+# The same in C
+# -------------
+#
+# .. tutorial-form:: one_image.c tutorial.h

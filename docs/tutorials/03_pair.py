@@ -23,6 +23,7 @@ samples = 120
 wavelength_nm = 2000
 samples_per_lambda_over_d = 2
 pixels = 128
+crop_pixels = 128
 diversity_focus_waves_rms = 1.0
 read_noise_e = 20
 
@@ -44,23 +45,21 @@ diversity_focus_waves_rms = -1.0
 """
 )
 
-random = np.random.default_rng(3)
 models = {
     name: cophase.Model(cophase.scene_set(scene, image__diversity_focus_waves_rms=defocus))
     for name, defocus in (("plus", 1.02), ("minus", -1.02))
 }
 segments = slice(0, models["plus"].segment_modes)
-truth_nm = 15 * random.standard_normal(models["plus"].modes)
-truth_nm[segments] *= 4
+mode = np.arange(models["plus"].modes)
+truth_nm = 15 * np.cos(5 * mode)
+truth_nm[segments] = 80 * np.sin(4 * mode[segments])
 truth_nm[segments] -= truth_nm[segments].mean()
 
+random = np.random.default_rng(3)
 frames_e = {}
 for name, model in models.items():
     psf = model.psf(truth_nm)
-    frame_e = np.zeros(model.frame_shape)
-    edge = (model.frame_shape[0] - model.pixels) // 2
-    frame_e[edge : edge + model.pixels, edge : edge + model.pixels] = psf * 300**2 / psf.max()
-    frames_e[name] = random.poisson(frame_e) + 20 * random.standard_normal(frame_e.shape)
+    frames_e[name] = random.poisson(300**2 * psf / psf.max()) + 20 * random.standard_normal(psf.shape)
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
 for axis, (name, frame_e) in zip(axes, frames_e.items()):
@@ -87,7 +86,8 @@ estimates = {
 focus = models["plus"].mode_names.index("noll-4")
 for name, estimate in estimates.items():
     error_nm = estimate.coefficients_nm[focus] - truth_nm[focus]
-    print(f"{name}: reduced χ² {estimate.info.reduced_chi2:.2f}, focus {error_nm:+.2f} nm from the truth")
+    print(f"error of focus, {name}: {error_nm:.3f} ± {estimate.sigma_nm[focus]:.3f} nm")
+    print(f"   reduced χ² {estimate.info.reduced_chi2:.2f}")
     for warning in estimate.warnings:
         print("   warning:", warning)
 
@@ -111,3 +111,16 @@ plt.show()
 
 assert abs((estimates["one image"].coefficients_nm - truth_nm)[focus]) > 20
 assert np.abs(estimates["pair, defocus fitted"].coefficients_nm - truth_nm).max() < 2
+
+# %%
+# The same in MATLAB and Octave
+# -----------------------------
+#
+# .. tutorial-form:: pair.m
+#
+# The same in C
+# -------------
+#
+# ``tutorial.h`` is that of :doc:`01_one_image`.
+#
+# .. tutorial-form:: pair.c

@@ -36,11 +36,12 @@ model = cophase.Model(scene)
 session = cophase.Session(model, precision="f32", threads=1)
 print(model)
 
-random = np.random.default_rng(4)
+segments = slice(0, model.segment_modes)
 truth_nm = np.zeros(model.modes)
-truth_nm[: model.segment_modes] = 40 * random.standard_normal(model.segment_modes)
-truth_nm[: model.segment_modes] -= truth_nm[: model.segment_modes].mean()
+truth_nm[segments] = 57 * np.sin(4 * np.arange(model.segment_modes))
+truth_nm[segments] -= truth_nm[segments].mean()
 psf = model.psf(truth_nm)
+random = np.random.default_rng(4)
 
 
 def frame_e():
@@ -56,7 +57,6 @@ def frame_e():
 
 sequence = cophase.Sequence(model, capacity=50)
 durations_s, errors_nm, running_nm = [], [], []
-segments = slice(0, model.segment_modes)
 
 
 def error(coefficients_nm):
@@ -89,8 +89,10 @@ axes[1].set_ylabel("error of the pistons [nm RMS]")
 axes[1].legend()
 plt.show()
 
-estimate = sequence.estimate()
-print(f"{estimate.info.used} frames used: phasing error bar {estimate.info.phasing_sigma_nm:.2f} nm")
+info = sequence.estimate().info
+print(f"{info.used} of {info.images} frames used")
+print(f"phasing: {info.phasing_rms_nm:.2f} ± {info.phasing_sigma_nm:.2f} nm")
+print(f"NCPA: {info.ncpa_rms_nm:.2f} ± {info.ncpa_sigma_nm:.2f} nm")
 assert running_nm[-1] < 0.5 * np.mean(errors_nm), (running_nm[-1], np.mean(errors_nm))
 
 # %%
@@ -103,4 +105,18 @@ late = session.fit(frame_e(), deadline_s=1e-3)
 print(late.status, f"after {late.reports.evaluations} evaluations, error {error(late.coefficients_nm):.1f} nm")
 
 # %%
-# In C such a loop neither allocates nor waits: see :doc:`/c-realtime`.
+# The same in MATLAB and Octave
+# -----------------------------
+#
+# .. tutorial-form:: real_time.m
+#
+# The same in C
+# -------------
+#
+# The loop neither allocates nor waits: all memory comes before it.
+#
+# ``tutorial.h`` is that of :doc:`01_one_image`.
+#
+# .. tutorial-form:: real_time.c
+#
+# :doc:`/c-realtime` goes on with threads, priorities and latencies.

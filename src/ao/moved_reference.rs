@@ -11,8 +11,8 @@ use ndarray::Array1;
 
 /// How long the mirror's commands are averaged after the loop has settled, s. Only the difference of two loops behind the same turbulence
 /// counts, in which the turbulence cancels; but the gain of each spot changes with it, by which reference slopes of 72 nm of NCPA
-/// move Keck's mirror by 5 nm RMS in means over 0.25 s, and by 1.6 nm in these.
-const AVERAGED_S: f64 = 3.0;
+/// move Keck's mirror by 5 nm RMS in means over 0.25 s, by 1.6 nm over 3 s, and by 0.9 nm in these (as the root of the time).
+const AVERAGED_S: f64 = 10.0;
 
 /// Settings of a loop without the sensor's noise, which does not cancel: other spots make other draws of it.
 const NO_NOISE: [(&str, &str); 2] =

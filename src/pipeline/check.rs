@@ -11,10 +11,14 @@
 //!   the modes reproduce. They are degenerate unless a card of the file states one of them.
 //! * The amplitude of the defocus is that of a mode.
 //! * Flips, turns and the sign of the defocus: see `turns`.
+//!
+//! The scene in a file, and its cards, are no evidence of their own: their values are fitted too, and compete as the others.
 
 mod finding;
 mod focus;
+mod header;
 mod optics;
+mod orientation;
 mod shapes;
 mod turns;
 
@@ -41,8 +45,6 @@ const MAX_IMAGES: usize = 6;
 const EXPLAINED_BY_SHAPE: f64 = 0.5;
 /// Excess of χ² from which there is a misfit, in standard deviations of χ².
 const MISFIT_SIGMA: f64 = 5.0;
-/// Largest part of χ² beyond 1 that the right orientation leaves.
-const LEFT_BY_TURN: f64 = 0.1;
 
 /// What a check found.
 #[derive(Debug, Clone)]
@@ -137,41 +139,17 @@ impl Work<'_> {
         let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
         let mut findings: Vec<_> = focus.into_iter().collect();
         findings.push(self.saturation(given, &cache, &mut fitted)?);
-        let (mut scene, mut orientation) = (given.clone(), self.turned(given, &mut fitted)?);
-        for fault in orientation.iter().filter(|finding| finding.verdict == Verdict::Fault) {
-            scene = with(&scene, &fault.settings)?;
-        }
-        if let Some((before, after, poke)) = poke {
-            let [turn, sign] = turns::of_poke(&scene, (before, after), poke, self.control)?;
-            for one in [turn, sign] {
-                scene = with(&scene, &one.settings)?;
-                let place = orientation.iter().position(|known| known.quantity == one.quantity);
-                match place.map(|place| &mut orientation[place]) {
-                    // Flips beside a turn that the images show alone.
-                    Some(known) if known.verdict == Verdict::Fault => {
-                        known.settings.extend(one.settings);
-                        known.explanation += &format!("; {}", one.explanation);
-                    }
-                    Some(known) => *known = one,
-                    None => orientation.push(one),
-                }
-            }
-            if orientation.iter().any(|finding| finding.verdict == Verdict::Fault) {
-                fitted = self.fit(&scene, &cache.for_scene(given, &scene))?;
-            }
-        }
+        let (scene, orientation) = self.orientation(given, &cache, &mut fitted, poke)?;
         findings.extend(orientation);
         findings.extend(self.optics_and_shapes(&scene, &cache.for_scene(given, &scene), &fitted)?);
         let has_fault_of_focus = findings.iter().any(|finding| finding.quantity == CheckedQuantity::Defocus);
+        findings.extend(shapes::noise(&fitted));
         findings.extend(shapes::photometry(&scene, &fitted, has_fault_of_focus)?);
-        for one in &self.contradictions {
-            let settings = vec![(one.key.clone(), one.file_value.clone())];
-            findings.push(Finding {
-                settings,
-                ..Finding::new(CheckedQuantity::Header, Verdict::Fault, one.sentence.as_str())
-            });
-        }
+        findings.extend(self.header(&scene, &cache.for_scene(given, &scene), &fitted));
         sort(&mut findings);
+        for finding in &mut findings {
+            finding.take_form_of(given)?;
+        }
         let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
         let mut corrected = None;
         if !settings.is_empty() {
@@ -243,64 +221,6 @@ impl Work<'_> {
         Ok(Finding { gain, ..Finding::new(CheckedQuantity::Saturation, Verdict::Fault, sentence) })
     }
 
-    /// Orientation and sign of the defocus, as far as the pupil's shape shows them; `fitted` becomes the fit of the right one.
-    fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<Vec<Finding>> {
-        let (turns, hidden) = turns::turns(scene)?;
-        let has_sign = turns.iter().any(|turn| turn.quantity == CheckedQuantity::DefocusSign);
-        let mut findings = Vec::new();
-        let own_chi2 = chi2_of(fitted);
-        if !fitted.is_explained() && own_chi2 > 1.0 {
-            for turn in &turns {
-                let other = with(scene, &turn.settings)?;
-                // A new basis: that of the cache belongs to the scene's rotation.
-                let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
-                let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
-                if (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0) {
-                    findings.push(Finding {
-                        gain: (own_chi2 - chi2) * pixels / chi2.max(1.0),
-                        settings: turn.settings.clone(),
-                        ..Finding::new(
-                            turn.quantity,
-                            Verdict::Fault,
-                            format!(
-                                "{} explains the images: reduced χ² {chi2:.2} in place of {own_chi2:.1}",
-                                turn.name
-                            ),
-                        )
-                    });
-                    *fitted = again;
-                    break;
-                }
-            }
-        }
-        let lacks = |quantity: CheckedQuantity| !findings.iter().any(|finding: &Finding| finding.quantity == quantity);
-        let mut rest = Vec::new();
-        if lacks(CheckedQuantity::Orientation) {
-            rest.push(if hidden.is_empty() {
-                Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
-            } else {
-                let hidden = hidden.join(", ");
-                Finding::open(
-                    CheckedQuantity::Orientation,
-                    format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
-                )
-            });
-        }
-        if lacks(CheckedQuantity::DefocusSign) {
-            rest.push(if has_sign {
-                Finding::new(CheckedQuantity::DefocusSign, Verdict::Agrees, "the pupil's shape shows it")
-            } else {
-                Finding::open(
-                    CheckedQuantity::DefocusSign,
-                    "the opposite sign, with the wavefront −W(−x, −y), gives the same images: a known poke of a segment or actuator \
-                     shows it",
-                )
-            });
-        }
-        findings.extend(rest);
-        Ok(findings)
-    }
-
     /// Optical parameters, fitted together, and shapes of the residual.
     fn optics_and_shapes(&mut self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Vec<Finding>> {
         let mut parameters = optics::parameters(scene);
@@ -323,7 +243,7 @@ impl Work<'_> {
         if let Some(minimum) = &minimum {
             let [own, least] = minimum.reduced_chi2;
             let is_explained = !is_misfit || (least - 1.0).max(0.0) < optics::MOST_LEFT * (own - 1.0);
-            findings = optics::findings(&parameters, minimum, scale, is_explained);
+            findings = optics::findings((scene, &parameters), minimum, scale, is_explained);
             if let Some(first) = findings.first_mut() {
                 optics::with_header(first, scene, self.has_wavelength, &mut self.contradictions);
             }

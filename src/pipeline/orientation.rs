@@ -181,7 +181,8 @@ fn selected(
     let is_reversed_diversity = best.sign < 0.0 && best.flip == [true, true] && best.rotation_deg == 0.0;
     if is_reversed_diversity && scene.image.diversity_file.is_none() {
         let waves = -scene.image.diversity_focus_waves_rms;
-        settings.push(("image.diversity_focus_waves_rms".into(), waves.to_string()));
+        let (key, value) = scene.own_form("image.diversity_focus_waves_rms", waves);
+        settings.push((key, value.to_string()));
     } else {
         let keys = [("image.flip_x", scene.image.flip_x), ("image.flip_y", scene.image.flip_y)];
         for ((key, now), flip) in keys.into_iter().zip(best.flip) {

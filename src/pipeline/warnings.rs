@@ -12,7 +12,7 @@ use crate::telescope::{Diversity, Telescope};
 use ndarray::Array2;
 
 /// What a χ² that is too small means.
-const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
+pub(super) const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
     (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large? The error bars are those of \
     the stated noise";
 
@@ -229,7 +229,7 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
     let chi2 = found.reduced_chi2();
     let too_small = found.images.iter().filter(|image| image.is_too_small()).count();
     if too_small > misfits / 2 {
-        return Some(format!("in the typical image (median reduced χ² {}) {TOO_SMALL}", shown(chi2)));
+        return Some(format!("in the typical image (median reduced χ² {}) {TOO_SMALL}", shown_chi2(chi2)));
     }
     Some(format!(
         "the residual is {:.2} times the noise in the typical image (median reduced χ² {chi2:.2}): a wavefront that \
@@ -259,7 +259,7 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
     match &image.status {
         Status::Ok => None,
         Status::Misfit if image.is_too_small() => {
-            Some(format!("reduced χ² is {}, where noise explains {least:.2} or more: {TOO_SMALL}", shown(chi2)))
+            Some(format!("reduced χ² is {}, where noise explains {least:.2} or more: {TOO_SMALL}", shown_chi2(chi2)))
         }
         Status::Misfit => Some(format!(
             "the residual is {:.2} times the noise (reduced χ² {chi2:.2}, where noise explains up to {most:.2}): the modes do \
@@ -281,7 +281,7 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
 }
 
 /// A χ² with two decimals, or an exponent where they would be 0.
-fn shown(chi2: f64) -> String {
+pub(super) fn shown_chi2(chi2: f64) -> String {
     if chi2 < 0.01 { format!("{chi2:.0e}") } else { format!("{chi2:.2}") }
 }
 
@@ -348,7 +348,7 @@ pub(super) fn map_warnings(
     sentences.extend(found.optics.warnings());
     sentences.extend(found.telemetry.iter().flat_map(|check| check.warnings.clone()));
     if is_misfit && last.reduced_chi2 < 1.0 {
-        sentences.push(format!("the typical image has a reduced χ² of {}: {TOO_SMALL}", shown(last.reduced_chi2)));
+        sentences.push(format!("the typical image has a reduced χ² of {}: {TOO_SMALL}", shown_chi2(last.reduced_chi2)));
     } else if is_misfit {
         sentences.push(format!(
             "the residual of the typical image is {:.1} times the noise (reduced χ² {:.1}): the scene differs from the \

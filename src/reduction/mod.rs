@@ -10,7 +10,7 @@
 //! the raw frame's noise beside the photon noise of the star is one number per channel, the card `RON_E`: `noise.rs`.
 //!
 //! * [`Frame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
-//! * [`reduce`] makes masters (`masters`), finds the star (`star`), subtracts the sky (`sky`), cuts out, and rejects.
+//! * [`reduce`] makes masters (`masters`), finds the star (`star`, `found`), subtracts the sky (`sky`), cuts out, and rejects.
 //! * [`first_scene`] writes the scene to begin with.
 //! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
 
@@ -21,6 +21,7 @@ mod classify;
 mod cut_out;
 mod files;
 mod first_scene;
+mod found;
 mod frame;
 mod log;
 mod masters;

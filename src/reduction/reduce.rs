@@ -3,12 +3,12 @@
 use super::calibration::{Calibrated, Calibration, ReductionOptions, stated_read_noise_e};
 use super::channel::channel_of;
 use super::classify::FrameClass;
-use super::cut_out::CutOut;
+use super::found::{self, Found};
 use super::frame::Frame;
 use super::log::LogRow;
 use super::noise::{NoiseTerms, scatter};
 use super::reduced::{ReducedChannel, Reduction};
-use super::{masters, rejection, sky, star};
+use super::{masters, sky};
 use crate::io::Quantity;
 use crate::machine;
 use crate::scene::Scene;
@@ -104,66 +104,24 @@ impl<'a> Reducer<'a> {
     fn channel(&mut self, channel: usize, group: &[Calibrated], skies: &[Calibrated]) -> Result<ReducedChannel> {
         let scene = self.scene_of(channel);
         let name = self.scene.channels().get(channel).map(|channel| channel.name.clone());
-        let shape = scene.image.frame_shape();
-        let (mut parts, mut stars) = (Vec::new(), Vec::new());
         for frame in group {
             self.rows[frame.index].channel = name.clone().unwrap_or_default();
-            parts.push(self.find_star(frame, shape));
-            let row = &self.rows[frame.index];
-            stars.push((frame, row.x.is_finite().then_some((row.x, row.y))));
         }
+        let found = found::usable(group, scene, &mut self.rows);
         let mut images: Vec<Image> = Vec::new();
-        for (frame, part) in group.iter().zip(parts) {
-            images.extend(part.and_then(|part| self.cut_out(frame, part, &stars, skies, scene)));
+        for one in &found {
+            images.extend(self.cut_out(one, &found, skies, scene));
         }
-        let cut: Vec<usize> = images.iter().map(|image| image.index).collect();
-        rejection::reject_trailed(&mut self.rows, &cut);
-        images.retain(|image| self.rows[image.index].reason.is_empty());
         for image in &images {
             self.rows[image.index].accept("star");
         }
         self.assemble(name, &images)
     }
 
-    /// Looks for the star of a frame; `None`, with the reason in the log, where there is none to use.
-    fn find_star(&mut self, frame: &Calibrated, shape: (usize, usize)) -> Option<CutOut> {
-        let row = &mut self.rows[frame.index];
-        let spot = star::find(&frame.electrons, shape.0.max(shape.1));
-        if let Some(reason) = rejection::starless(spot) {
-            row.reject(reason);
-            return None;
-        }
-        let spot = spot?;
-        (row.x, row.y, row.elongation) = (spot.x, spot.y, spot.elongation);
-        match CutOut::about((spot.x, spot.y), shape, frame.electrons.dim()) {
-            Ok(part) => Some(part),
-            Err(reason) => {
-                row.reject(reason);
-                None
-            }
-        }
-    }
-
     /// Cuts the image of the star out; `None`, with the reason in the log, for a frame that is rejected.
-    fn cut_out(
-        &mut self,
-        frame: &Calibrated,
-        part: CutOut,
-        stars: &[(&Calibrated, Option<(f64, f64)>)],
-        skies: &[Calibrated],
-        scene: &Scene,
-    ) -> Option<Image> {
-        let saturation_adu = scene.image.saturation_adu.or(frame.frame.header.saturation_adu);
-        let bad = frame.electrons.mapv(|electrons| !electrons.is_finite());
-        let (peak_adu, saturated) = rejection::saturation(frame.frame, &bad, part, saturation_adu);
-        let background_e = median(&outside(&frame.electrons, part));
-        let row = &mut self.rows[frame.index];
-        (row.peak_adu, row.background_e) = (peak_adu, background_e);
-        if let Some(reason) = saturated {
-            row.reject(reason);
-            return None;
-        }
-        let of_dithers = || if self.options.is_without_dither_sky { None } else { sky::of_dithers(frame, part, stars) };
+    fn cut_out(&mut self, one: &Found, all: &[Found], skies: &[Calibrated], scene: &Scene) -> Option<Image> {
+        let &Found { frame, part, background_e, .. } = one;
+        let of_dithers = || if self.options.is_without_dither_sky { None } else { sky::of_dithers(one, all) };
         let sky = if skies.is_empty() { of_dithers() } else { sky::of_sky_frames(frame, part, skies) };
         if sky.is_none() && frame.dark.is_none() && !self.calibration.darks.is_empty() {
             let there = masters::exposures(&self.calibration.darks);
@@ -186,7 +144,15 @@ impl<'a> Reducer<'a> {
         };
         let rest_e = if background_e.is_finite() { background_e - level_e } else { 0.0 };
         let light = electrons.iter().filter(|value| value.is_finite()).map(|value| value - rest_e);
-        self.rows[frame.index].flux_e = light.sum();
+        let flux_e: f64 = light.sum();
+        let row = &mut self.rows[frame.index];
+        row.flux_e = flux_e;
+        if flux_e <= 0.0 {
+            row.reject(format!(
+                "its image has {flux_e:.3e} electrons in all, where a star has more than 0: the sky that was subtracted is not its own"
+            ));
+            return None;
+        }
         let stated_read_noise_e = stated_read_noise_e(frame.frame, scene);
         let of_dark = frame.dark.and_then(|dark| Some(self.calibration.darks[dark].read_noise_adu? * frame.gain));
         // Without a dark nothing tells the sky, which has photon noise, from the bias, which has none.
@@ -316,15 +282,6 @@ fn corners(image: &Array2<f64>) -> impl Iterator<Item = f64> + '_ {
     let offset = |at: usize, size: usize| (2.0 * at as f64 - size as f64) / size as f64;
     let is_corner = move |y: usize, x: usize| offset(y, rows).hypot(offset(x, columns)) > 1.0;
     image.indexed_iter().filter(move |((y, x), _)| is_corner(*y, *x)).map(|(_, value)| *value)
-}
-
-/// The good pixels outside of a cut-out; all of them where there are too few for a median.
-fn outside(map: &Array2<f64>, part: CutOut) -> Vec<f64> {
-    const ENOUGH: usize = 100;
-    let good = map.indexed_iter().filter(|(_, value)| value.is_finite());
-    let outside: Vec<f64> =
-        good.clone().filter(|((y, x), _)| !part.contains(*y, *x)).map(|(_, value)| *value).collect();
-    if outside.len() >= ENOUGH { outside } else { good.map(|(_, value)| *value).collect() }
 }
 
 /// Rejects the frames of another shape than most frames of the star, and gives that shape.

@@ -21,16 +21,53 @@ const ENOUGH: usize = 5;
 /// Least excess of elongation that counts.
 const LEAST_EXCESS: f64 = 0.1;
 
+/// Excess of a background over that of the frame's equals, relative to it, from which it is another light: the sky of the infrared
+/// changes by tens of per cent in a night.
+const OTHER_LIGHT: f64 = 1.0;
+/// The same in standard deviations of a pixel, for a background near 0.
+const OTHER_LIGHT_SIGMAS: f64 = 5.0;
+/// Least light of a star over that of the other frames: behind clouds that take more, an image adds next to nothing to a sequence.
+const FAINT: f64 = 0.1;
+
 /// Why a frame with this spot has no star to use.
 pub(super) fn starless(spot: Option<Spot>) -> Option<String> {
     match spot {
         None => Some("no good pixels".into()),
         Some(spot) if spot.snr < LEAST_SNR => Some(format!(
-            "no star: the brightest spot has a signal-to-noise ratio of {:.1}, where {LEAST_SNR} is needed",
+            "no star: the brightest spot has a signal-to-noise ratio of {:.1}, where {LEAST_SNR} is needed (--darks, --flats and --skies name \
+             the class of a frame without one)",
             spot.snr
         )),
         Some(_) => None,
     }
+}
+
+/// Why a frame with this background is none of the star, by the backgrounds, with the scatter of a pixel, of those of its filter and exposure: a flat that
+/// no card names is brighter. The lower quartile is compared, which neither one frame that was read in part nor as many flats as stars change.
+pub(super) fn other_background(own_e: f64, mut alike: Vec<(f64, f64)>) -> Option<String> {
+    alike.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (usual_e, scatter_e) = *alike.get(alike.len().saturating_sub(1) / 4)?;
+    let most_e = usual_e + (OTHER_LIGHT * usual_e.abs()).max(OTHER_LIGHT_SIGMAS * scatter_e);
+    (own_e > most_e).then(|| {
+        format!(
+            "its background is {own_e:.0} electrons a pixel, where others of its exposure have {usual_e:.0} and {most_e:.0} at most are \
+             accepted: a flat, or another sky (--flats, --skies and --stars name the class)"
+        )
+    })
+}
+
+/// Why a frame with a spot of this light is none of the star, by those of its filter and exposure: a dark has structure, too. The upper quartile is
+/// compared, which as many as two darks for one star do not change.
+pub(super) fn faint(own_e: f64, mut alike: Vec<f64>) -> Option<String> {
+    alike.sort_by(f64::total_cmp);
+    let last = alike.len().checked_sub(1)?;
+    let usual_e = alike[last - last / 4];
+    (own_e < FAINT * usual_e).then(|| {
+        format!(
+            "no star: its brightest spot has {own_e:.1e} electrons, where others of its exposure have {usual_e:.1e} and a part of {FAINT} is \
+             needed: clouds, or a frame without the star (--darks and --skies name the class)"
+        )
+    })
 }
 
 /// Largest value of one coadd in a cut-out, in the unit of the file, and why the frame is saturated.

@@ -2,6 +2,7 @@
 
 use super::calibration::Calibrated;
 use super::cut_out::CutOut;
+use super::found::Found;
 use super::masters::median_of;
 use super::noise::{SkyTerms, median_variance};
 use crate::statistics::median;
@@ -50,31 +51,26 @@ pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrate
     sky(frame, first, median_of(&same), scale, median_variance(same.len()))
 }
 
-/// The sky of `frame` in `part`, as the median of the other frames of its star where that star is not; `None` where they overlap.
-/// `others` are the frames with the column and the row of their star, if they have one.
-pub(super) fn of_dithers(
-    frame: &Calibrated,
-    part: CutOut,
-    others: &[(&Calibrated, Option<(f64, f64)>)],
-) -> Option<Sky> {
-    let same = |other: &Calibrated| {
-        !std::ptr::eq(other, frame)
-            && same_filter(frame, other)
-            && other.frame.header.has_exposure_of(&frame.frame.header)
-            && other.frame.coadds() == frame.frame.coadds()
-            && other.dark.is_some() == frame.dark.is_some()
-    };
-    let others: Vec<_> = others.iter().filter(|(other, _)| same(other)).collect();
-    let (first, _) = others.first()?;
+/// Whether two frames have the same sky: one filter and one exposure, and both a dark or none.
+pub(super) fn is_alike(frame: &Calibrated, other: &Calibrated) -> bool {
+    same_filter(frame, other)
+        && other.frame.header.has_exposure_of(&frame.frame.header)
+        && other.frame.coadds() == frame.frame.coadds()
+        && other.dark.is_some() == frame.dark.is_some()
+}
+
+/// The sky in the cut-out of `one`, as the median of the other frames of `all` where their stars are not; `None` where they overlap.
+pub(super) fn of_dithers(one: &Found, all: &[Found]) -> Option<Sky> {
+    let (frame, part) = (one.frame, one.part);
+    let others: Vec<&Found> =
+        all.iter().filter(|other| !std::ptr::eq(other.frame, frame) && is_alike(frame, other.frame)).collect();
+    let first = others.first()?.frame;
     let (half_height, half_width) = (part.rows as f64 / 2.0, part.columns as f64 / 2.0);
     let free: Vec<Array2<f64>> = others
         .iter()
-        .map(|(other, star)| {
-            let is_star = |y: usize, x: usize| {
-                star.is_some_and(|(at_x, at_y)| {
-                    (x as f64 - at_x).abs() <= half_width && (y as f64 - at_y).abs() <= half_height
-                })
-            };
+        .map(|Found { frame: other, star: (at_x, at_y), .. }| {
+            let is_star =
+                |y: usize, x: usize| (x as f64 - at_x).abs() <= half_width && (y as f64 - at_y).abs() <= half_height;
             Array2::from_shape_fn((part.rows, part.columns), |(j, i)| {
                 let (y, x) = (part.top + j, part.left + i);
                 if is_star(y, x) { f64::NAN } else { other.electrons[[y, x]] }

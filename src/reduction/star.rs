@@ -20,7 +20,9 @@ pub(super) struct Spot {
     /// Centroid, pixels from 0.
     pub(super) x: f64,
     pub(super) y: f64,
-    /// Signal of the box it was found in over the noise of that box.
+    /// Signal of the box it was found in, above the ring about it, electrons.
+    pub(super) light_e: f64,
+    /// That over the noise of the box.
     pub(super) snr: f64,
     /// Ratio of its larger to its smaller width (square roots of the second moments).
     pub(super) elongation: f64,
@@ -92,14 +94,14 @@ pub(super) fn find(image: &Array2<f64>, window: usize) -> Option<Spot> {
             }
         }
     }
-    let (mut at, light, good) = best?;
-    let snr = light / (noise.max(f64::MIN_POSITIVE) * good.sqrt());
+    let (mut at, light_e, good) = best?;
+    let snr = light_e / (noise.max(f64::MIN_POSITIVE) * good.sqrt());
     let background = median(&clean.iter().copied().filter(|value| value.is_finite()).collect::<Vec<_>>());
-    let mut spot = Spot { x: at.1 as f64, y: at.0 as f64, snr, elongation: 1.0 };
+    let mut spot = Spot { x: at.1 as f64, y: at.0 as f64, light_e, snr, elongation: 1.0 };
     for _ in 0..ITERATIONS {
         let Some(next) = centroid(&sums, at, window, background, noise) else { break };
         let has_settled = (next.x - spot.x).hypot(next.y - spot.y) < 0.05;
-        spot = Spot { snr, ..next };
+        spot = Spot { light_e, snr, ..next };
         at = (spot.y.round() as usize, spot.x.round() as usize);
         if has_settled {
             break;
@@ -136,7 +138,7 @@ fn centroid(sums: &Sums, (y, x): (usize, usize), window: usize, background: f64,
     let (uu, uv, vv) = (uu / sum - u * u, uv / sum - u * v, vv / sum - v * v);
     let (mean, half) = ((uu + vv) / 2.0, ((uu - vv) / 2.0).hypot(uv));
     let elongation = ((mean + half) / (mean - half).max(1e-6 * mean).max(f64::MIN_POSITIVE)).sqrt();
-    Some(Spot { x: x as f64 + u, y: y as f64 + v, snr: 0.0, elongation })
+    Some(Spot { x: x as f64 + u, y: y as f64 + v, light_e: 0.0, snr: 0.0, elongation })
 }
 
 /// `image` with NaN in pixels that stand far above all but one of their neighbours: hot pixels and cosmic rays.

@@ -31,7 +31,7 @@ fn write_channel(file: &mut FitsWriter, number: usize, channel: &ReducedChannel)
     if let Some(name) = &channel.name {
         file.card(&images, CHANNEL, name.as_str(), "name of the channel")?;
     }
-    file.card(&images, "RON_E", channel.noise_e, "noise of a pixel without the star, electrons RMS")?;
+    file.card(&images, "RON_E", channel.noise_e, "noise of a pixel without star, electrons RMS")?;
     if let Some(read_noise_e) = channel.stated_read_noise_e {
         file.card(&images, READ_NOISE_OF_A_COADD, read_noise_e, "read noise of one coadd, electrons RMS")?;
     }

@@ -1,7 +1,8 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
 use super::table::SETTING;
-use super::{Scene, SectionKeys, channel, directory_of_keys, forms, unknown_key, unknown_section};
+use super::unknown::{unknown_key, unknown_section};
+use super::{Scene, SectionKeys, channel, directory_of_keys, forms};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 

@@ -30,6 +30,7 @@ mod section_keys;
 mod table;
 mod telescope;
 mod units;
+mod unknown;
 mod value;
 mod words;
 
@@ -54,7 +55,7 @@ use section_keys::SectionKeys;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use table::{Check, Reader, Section, Source, nearest, shown, suggestion};
+use table::{Check, Reader, Section, Source, shown, suggestion};
 use toml_edit::{Document, Item};
 
 /// Validated, immutable scene. It dereferences to its [`Sections`]. [`Scene::with`] makes a changed copy. Cloning is
@@ -314,7 +315,7 @@ impl Scene {
             let message = error.message().lines().collect::<Vec<_>>().join("; ");
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))
         })?;
-        refuse_unknown(source, document.as_table())?;
+        unknown::refuse(source, document.as_table())?;
         let channels = Self::parse_channels(source, &document, directory)?;
         // A scene with channels has the sections of its first one.
         let sections = match channels.first() {
@@ -382,65 +383,6 @@ impl Sections {
 fn is_name(text: &str) -> bool {
     let text = text.trim();
     !text.is_empty() && !text.contains(['\n', '=', '[', ']', '#', '"'])
-}
-
-/// Refuses unknown sections and keys, with a suggestion.
-fn refuse_unknown(source: Source, document: &toml_edit::Table) -> Result<()> {
-    let sections = directory_of_keys();
-    for (name, item) in document.iter() {
-        let reader = |section| Reader { source, section, item: Some(item) };
-        let Some(section) = sections.iter().find(|section| section.name == name) else {
-            return Err(Error::Scene(format!(
-                "{}: {}",
-                place(source, document, name),
-                unknown_section(&sections, name)
-            )));
-        };
-        let Some(table) = item.as_table_like() else {
-            let at = place(source, document, name);
-            return Err(Error::Scene(format!("{at}: '{name}' is not a section; write [{name}] with its keys below")));
-        };
-        let is_list = |key: &str| name == "image" && key == channel::LIST;
-        let is_known = |key: &str| is_list(key) || section.keys.iter().any(|known| known.name == key);
-        if let Some((key, _)) = table.iter().find(|(key, _)| !is_known(key)) {
-            return Err(reader(section.name).error(key, unknown_key(&sections, section, key)));
-        }
-    }
-    Ok(())
-}
-
-/// Position of an entry of the document, for messages.
-fn place(source: Source, document: &toml_edit::Table, name: &str) -> String {
-    source.at(document.get_key_value(name).and_then(|(key, item)| key.span().or_else(|| item.span())))
-}
-
-/// Message for an unknown section.
-fn unknown_section(sections: &[SectionKeys], name: &str) -> String {
-    // A key above the first header is a more common mistake than an unknown section.
-    if let Some(home) = sections.iter().find(|section| section.keys.iter().any(|key| key.name == name)) {
-        return format!("'{}' is outside its section; it belongs in [{}]", shown(name), home.name);
-    }
-    let names = || sections.iter().map(|section| section.name);
-    match nearest(name, names()) {
-        Some(_) => format!("unknown section '{}'{}", shown(name), suggestion(name, names())),
-        None => format!("unknown section '{}'; there are {}", shown(name), names().collect::<Vec<_>>().join(", ")),
-    }
-}
-
-/// Message for an unknown key.
-fn unknown_key(sections: &[SectionKeys], section: &SectionKeys, key: &str) -> String {
-    let names = || section.keys.iter().map(|key| key.name);
-    let unknown = format!("unknown key '{}.{}'", section.name, shown(key));
-    if let Some((.., new)) = RENAMED.iter().find(|(home, old, _)| *home == section.name && *old == key) {
-        return format!("{unknown}; its name is now '{new}'");
-    }
-    if let Some(home) = sections.iter().find(|other| other.keys.iter().any(|known| known.name == key)) {
-        return format!("{unknown}; it belongs in [{}]", home.name);
-    }
-    match nearest(key, names()) {
-        Some(_) => unknown + &suggestion(key, names()),
-        None => format!("{unknown}; [{}] has {}", section.name, names().collect::<Vec<_>>().join(", ")),
-    }
 }
 
 /// Reference of every section and key of a scene, as text: unit, meaning, accepted values, default.

@@ -73,6 +73,71 @@ fn a_wrong_plate_scale_is_named_and_corrected() {
     );
 }
 
+/// The scene in a file is what its images were made or reduced with, and no evidence against a scene that was corrected since.
+#[test]
+fn a_corrected_plate_scale_is_not_set_back_to_that_of_the_file() {
+    let desk = desk(&["image.samples_per_lambda_over_d=2.05"]);
+    let mut file = FitsReader::open(desk.path("images.fits")).unwrap();
+    let mut copy = FitsWriter::create(desk.path("old.fits")).unwrap();
+    copy.image("IMAGES", &file.cube("IMAGES").unwrap(), Pixel::F64, "electron").unwrap();
+    let lines = file.text_column("SCENE", "LINE").unwrap().join("\n");
+    copy.text("SCENE", &lines.replace("samples_per_lambda_over_d = 2.05", "samples_per_lambda_over_d = 2.03")).unwrap();
+    copy.finish().unwrap();
+    // The images are neither the scene's nor the file's.
+    let json = desk.json(&check("old.fits", &["--json"]));
+    assert_eq!(json["cause"], "plate scale or wavelength", "{json}");
+    std::fs::write(desk.path("right.toml"), crate::SMALL.replace("lambda_over_d = 2", "lambda_over_d = 2.05")).unwrap();
+    let set: Vec<&str> = SET.iter().flat_map(|setting| ["--set", setting]).collect();
+    let json = desk.json(&[&["check", "old.fits", "--scene", "right.toml", "--json"], &set[..]].concat());
+    assert_eq!(json["cause"], Value::Null, "{json}");
+    let header = finding(&json, "header");
+    assert_eq!(header["verdict"], "agrees", "{json}");
+    assert!(header["explanation"].as_str().unwrap().contains("the images agree with the scene"), "{json}");
+}
+
+/// A scene that has its pixel in milliarcseconds and its defocus in nm is answered in these.
+#[test]
+fn values_are_in_the_units_of_the_scene() {
+    let desk = desk(&["image.samples_per_lambda_over_d=2.05"]);
+    let own = |sampling: f64| {
+        let text = crate::SMALL
+            .replace(
+                "samples_per_lambda_over_d = 2",
+                &format!("pixel_mas = {}", 2e-6 / 5.2 * 206_264_806.247 / sampling),
+            )
+            .replace("diversity_focus_waves_rms = 1.0", "diversity_focus_nm_rms = 2000");
+        std::fs::write(desk.path("scene.toml"), text).unwrap();
+    };
+    own(2.0);
+    let json = desk.json(&check("bare.fits", &["--json", "--write", "corrected.toml"]));
+    assert_eq!(json["cause"], "plate scale or wavelength", "{json}");
+    let [scene, found, sigma] = ["scene", "found", "sigma"].map(|key| json["findings"][0][key].as_f64().unwrap());
+    let set: f64 = json["settings"]["image.pixel_mas"].as_str().unwrap().parse().unwrap();
+    // The tolerance of `a_wrong_plate_scale_is_named_and_corrected`, relative.
+    assert!((found / scene * 2.05 / 2.0 - 1.0).abs() < 2.5e-3 && (set / found - 1.0).abs() < 1e-6, "{json}");
+    assert!(
+        sigma < 0.01 * found && json["findings"][0]["explanation"].as_str().unwrap().contains("pixel_mas"),
+        "{json}"
+    );
+    assert_eq!(finding(&json, "defocus")["scene"], 2000.0, "{json}");
+    let written = std::fs::read_to_string(desk.path("corrected.toml")).unwrap();
+    assert!(written.contains("pixel_mas = ") && !written.contains("samples_per_lambda_over_d"), "{written}");
+    let again = desk.json(&["check", "bare.fits", "--scene", "corrected.toml", "--json"]);
+    assert_eq!(again["cause"], Value::Null, "{again}");
+}
+
+/// Counts in the place of electrons, at 2.5 electrons per count.
+#[test]
+fn a_noise_that_is_too_small_is_named() {
+    let desk = desk(&[]);
+    desk.edit_images("images.fits", "counts.fits", |images| images.mapv_inplace(|electrons| electrons / 2.5));
+    let json = desk.json(&check("counts.fits", &["--json"]));
+    assert_eq!(json["cause"], "noise", "{json}");
+    // The read noise of 20 e is 8 counts, and the photons of E electrons have √(E/2.5²) for √(E/2.5): a χ² from 0.16 to 0.4.
+    assert!((0.16..0.45).contains(&json["reduced_chi2"].as_f64().unwrap()), "{json}");
+    assert!(finding(&json, "noise")["explanation"].as_str().unwrap().contains("image.gain_e_per_adu"), "{json}");
+}
+
 #[test]
 fn a_gradient_of_the_light_is_named() {
     let desk = desk(&["pupil.illumination_x=0.15"]);

@@ -22,6 +22,7 @@ mod orientation;
 mod outputs;
 mod parts;
 mod ranks;
+mod raw_frames;
 mod reduce;
 mod report;
 mod same_answer;

@@ -208,3 +208,33 @@ fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
     // A poke of nothing else than one of the two.
     assert_eq!(desk.run(&[&check[..], &["--actuator", &actuator, "--segment", "1"]].concat()).status, 2);
 }
+
+/// With three vanes the pupil equals its mirror image left to right, and not that up to down: an image flipped up to down is that of the opposite defocus.
+/// The check names both, and a poke decides.
+#[test]
+fn a_flip_and_the_sign_of_the_defocus_are_distinguished_by_a_poke() {
+    let desk = Desk::with_scene();
+    let vanes = "spider_width_m = 0.25\nspider_vanes_deg = [90, 210, 330]\nsamples = 64";
+    std::fs::write(desk.path("scene.toml"), SMALL.replace("samples = 64", vanes)).unwrap();
+    let images = ["check", "new.fits", "--scene", "scene.toml", "--json"];
+    let poke = [&images[..], &["--before", "old.fits", "--poke-nm", "150", "--segment", "1"]].concat();
+    let sign = ["--set", "image.diversity_focus_waves_rms=-1"];
+    for (is_flipped, keys, cause, settings) in [
+        (true, &[][..], "orientation", serde_json::json!({"image.flip_y": "true"})),
+        (false, &sign[..], "sign of the defocus", serde_json::json!({"image.diversity_focus_waves_rms": "1"})),
+    ] {
+        write_poke(&desk, 150.0, |n, y, x| if is_flipped { ((n - y) % n, x) } else { (y, x) });
+        let json = desk.json(&[&images[..], keys].concat());
+        assert_eq!(json["cause"], "orientation or sign of the defocus", "{json}");
+        assert_eq!(json["settings"], serde_json::json!({}), "{json}");
+        let sentence = json["findings"][0]["explanation"].as_str().unwrap();
+        for part in ["image.flip_y = true", "image.diversity_focus_waves_rms = ", "--poke-nm"] {
+            assert!(sentence.contains(part), "{part}: {sentence}");
+        }
+        let json = desk.json(&[&poke[..], keys].concat());
+        assert_eq!((&json["cause"], &json["settings"]), (&cause.into(), &settings), "{json}");
+    }
+    // Both signs right: nothing to set. These images have no noise, of which the check says so.
+    let json = desk.json(&poke);
+    assert_eq!(json["cause"], "noise", "{json}");
+}

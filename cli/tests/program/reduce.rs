@@ -1,123 +1,12 @@
 //! `cophase reduce`: raw frames made from simulated images, with all that a detector and a sky add, become the images again.
 
 use crate::channels::PAIR;
+use crate::raw_frames::{
+    DITHERS, GAIN, NOISE_E, Noise, RAW, SIDE, SKY_E, dark, desk, response, sky, star, write, write_cube,
+};
 use crate::{Desk, number};
 use cophase::io::{Card, FitsReader, FitsWriter, Pixel, read_channels};
 use ndarray::{Array2, Array3, Axis, s, stack};
-
-/// Side of the raw frames, electrons per count, coadds.
-const SIDE: usize = 200;
-const GAIN: f64 = 4.0;
-const COADDS: f64 = 2.0;
-/// Noise of the simulated images, electrons: that of two coadds of 14.142.
-const NOISE_E: f64 = 20.0;
-const SKY_E: f64 = 60.0;
-/// Rows and columns of the star in five dithers, whose images of 64 pixels overlap at corners only.
-const DITHERS: [(usize, usize); 5] = [(50, 50), (50, 150), (150, 50), (150, 150), (100, 100)];
-/// The scene of the raw frames.
-const RAW: [&str; 4] = ["--set", "image.read_noise_e=14.142", "--set", "image.saturation_adu=9000"];
-
-/// Normal numbers: sums of twelve uniform ones of a linear congruential generator, whose quality suffices for noise.
-struct Noise(u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
-}
-
-/// Response of the detector: 2 % from pixel to pixel, on a slope of 20 %, with a dead pixel.
-fn response() -> Array2<f64> {
-    let mut noise = Noise(7);
-    let mut response = Array2::from_shape_fn((SIDE, SIDE), |(_, x)| {
-        (1.0 + 0.02 * noise.normal()) * (0.9 + 0.2 * x as f64 / SIDE as f64)
-    });
-    response[[60, 55]] = 0.0;
-    response
-}
-
-/// Dark of one coadd, counts: bias of four quadrants, a pattern, and hot pixels, three of them under the stars.
-fn dark() -> Array2<f64> {
-    let mut noise = Noise(8);
-    let mut dark = Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {
-        500.0 + 10.0 * (2 * (2 * y / SIDE) + 2 * x / SIDE) as f64 + 3.0 * noise.normal()
-    });
-    for (y, x, counts) in
-        [(55, 45, 4000.0), (145, 60, 800.0), (102, 110, 20_000.0), (10, 190, 30_000.0), (10, 191, 30_000.0)]
-    {
-        dark[[y, x]] += counts;
-    }
-    dark
-}
-
-/// Writes a raw frame of `electrons`, with its dark, in whole counts.
-fn write(desk: &Desk, name: &str, electrons: &Array2<f64>, cards: &[(&str, Card)]) {
-    write_cube(desk, name, &electrons.view().insert_axis(Axis(0)).to_owned(), cards);
-}
-
-/// Writes a cube of raw frames.
-fn write_cube(desk: &Desk, name: &str, electrons: &Array3<f64>, cards: &[(&str, Card)]) {
-    let counts = (electrons / GAIN + &(COADDS * dark())).mapv(f64::round);
-    let counts =
-        if counts.len_of(Axis(0)) == 1 { counts.index_axis_move(Axis(0), 0).into_dyn() } else { counts.into_dyn() };
-    let mut file = FitsWriter::create(desk.path(name)).unwrap();
-    file.image("RAW", &counts, Pixel::I32, "").unwrap();
-    for (key, value) in [("ITIME", Card::Real(0.5)), ("COADDS", Card::Integer(2)), ("GAIN", Card::Real(GAIN))] {
-        file.card("RAW", key, value, "").unwrap();
-    }
-    for (key, value) in cards {
-        file.card("RAW", key, value.clone(), "").unwrap();
-    }
-    file.finish().unwrap();
-}
-
-/// Sky with its photon noise and the read noise.
-fn sky(noise: &mut Noise) -> Array2<f64> {
-    let response = response();
-    Array2::from_shape_fn((SIDE, SIDE), |at| {
-        response[at] * (SKY_E + SKY_E.sqrt() * noise.normal()) + NOISE_E * noise.normal()
-    })
-}
-
-/// A frame of the star, whose image `[64, 64]` has its read noise, at a dither.
-fn star(image: &Array2<f64>, (y, x): (usize, usize), noise: &mut Noise) -> Array2<f64> {
-    let mut frame = sky(noise);
-    let at = s![y - 32..y + 32, x - 32..x + 32];
-    let of_sky = Array2::from_shape_fn((64, 64), |_| SKY_E + SKY_E.sqrt() * noise.normal());
-    frame.slice_mut(at).assign(&((image + &of_sky) * response().slice(at)));
-    frame
-}
-
-/// A folder `raw` with five dithers, darks, flats and frames of the lamp off.
-fn desk() -> Desk {
-    let desk = Desk::with_images(&["image.count=5"]);
-    std::fs::create_dir(desk.path("raw")).unwrap();
-    let images = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
-    let mut noise = Noise(1);
-    for (number, (image, at)) in images.outer_iter().zip(DITHERS).enumerate() {
-        let frame = star(&image.to_owned(), at, &mut noise);
-        write(&desk, &format!("raw/n{number:04}.fits"), &frame, &[("OBJECT", "HD 1".into())]);
-    }
-    for number in 0..9 {
-        let frame = Array2::from_shape_fn((SIDE, SIDE), |_| NOISE_E * noise.normal());
-        write(&desk, &format!("raw/d{number}.fits"), &frame, &[("SHRNAME", "CLOSED".into())]);
-    }
-    let response = response();
-    for number in 0..8 {
-        for (class, level_e) in [("flatlamp", 80_000.0f64), ("flatlampoff", 0.0)] {
-            let frame = Array2::from_shape_fn((SIDE, SIDE), |at| {
-                response[at] * (level_e + level_e.sqrt() * noise.normal()) + NOISE_E * noise.normal()
-            });
-            write(&desk, &format!("raw/{class}{number}.fits"), &frame, &[("KOAIMTYP", class.into())]);
-        }
-    }
-    desk
-}
 
 /// The row of a file in the log.
 fn reason(json: &serde_json::Value, file: &str) -> (bool, String) {
@@ -281,6 +170,47 @@ fn frames_that_cannot_be_used_are_named_with_the_reason() {
     assert_eq!(used.iter().sum::<i64>(), 5 + 9 + 8 + 8);
     let out = desk.succeeds(&[&reduce[..6], &RAW[..]].concat()).out;
     assert!(out.contains("5 images, 6 frames not used") && out.contains("trailed"), "{out}");
+}
+
+/// Darks and flats that neither a card nor a list names are no stars, and no sky of the others.
+#[test]
+fn calibrations_that_no_card_names_change_no_image() {
+    let desk = desk();
+    let frames = [&["--scene", "scene.toml", "--json"], &RAW[..]].concat();
+    // The darks hold the hot pixels; without them the detector has a mask.
+    let mut mask = FitsWriter::create(desk.path("mask.fits")).unwrap();
+    mask.image("BADPIX", &dark().mapv(|counts| f64::from(counts > 1000.0)), Pixel::I32, "").unwrap();
+    mask.finish().unwrap();
+    let mask = ["--mask", "mask.fits"];
+    let reduce = |raw: &[&str], output: &str| desk.json(&[&["reduce"], raw, &["-o", output], &frames, &mask].concat());
+    let stars: Vec<String> = (0..DITHERS.len()).map(|number| format!("raw/n{number:04}.fits")).collect();
+    let stars: Vec<&str> = stars.iter().map(String::as_str).collect();
+    let alone = reduce(&stars, "alone.fits");
+    std::fs::create_dir(desk.path("unnamed")).unwrap();
+    let mut noise = Noise(5);
+    for number in 0..4 {
+        let dark = Array2::from_shape_fn((SIDE, SIDE), |_| NOISE_E * noise.normal());
+        write(&desk, &format!("unnamed/a{number}.fits"), &dark, &[]);
+        // A lamp with a hot spot, which is as compact as a star.
+        let flat = Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {
+            let radius = (y as f64 - 100.0).hypot(x as f64 - 90.0) / 12.0;
+            80_000.0 * (1.0 + 0.3 * (-0.5 * radius * radius).exp())
+        });
+        let flat = flat * &response();
+        write(&desk, &format!("unnamed/b{number}.fits"), &flat.mapv(|e| e + e.sqrt() * noise.normal()), &[]);
+    }
+    let mixed = reduce(&[&stars[..], &["unnamed"]].concat(), "mixed.fits");
+    let cube = |name: &str| FitsReader::open(desk.path(name)).unwrap().cube("IMAGES").unwrap();
+    assert_eq!((&mixed["images"], cube("mixed.fits")), (&5.into(), cube("alone.fits")), "{mixed}");
+    for number in 0..4 {
+        let (used, why) = reason(&mixed, &format!("a{number}.fits"));
+        assert!(!used && why.contains("no star") && why.contains("--darks"), "{why}");
+        let (used, why) = reason(&mixed, &format!("b{number}.fits"));
+        assert!(!used && why.contains("electrons a pixel") && why.contains("--flats"), "{why}");
+    }
+    for row in alone["frames"].as_array().unwrap() {
+        assert!(number(row, "flux_e") > 0.0, "{row}");
+    }
 }
 
 #[test]

@@ -1,5 +1,18 @@
 //! Finding: one quantity of scene and images that a check looked at.
 
+use super::with;
+use crate::Result;
+use crate::scene::Scene;
+
+/// Keys of the sampling and the defocus, as everything reads them.
+pub(super) const SAMPLING: &str = "image.samples_per_lambda_over_d";
+pub(super) const FOCUS: &str = "image.diversity_focus_waves_rms";
+/// Key of the wavelength.
+pub(super) const WAVELENGTH: &str = "image.wavelength_nm";
+/// Part of a pixel's angle within which a wavelength alone explains a sampling: some error bars of the images, and less than any wavelength of a file is
+/// from another.
+const SAME_PIXEL: f64 = 2e-3;
+
 /// What is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum CheckedQuantity {
@@ -15,6 +28,8 @@ pub enum CheckedQuantity {
     Orientation,
     /// Sign of the defocus.
     DefocusSign,
+    /// One of the two: both have the same images.
+    OrientationOrDefocusSign,
     /// Amplitude of the defocus.
     Defocus,
     /// Slopes of the light over the pupil.
@@ -35,6 +50,8 @@ pub enum CheckedQuantity {
     NonLinearity,
     /// A blur that the model lacks.
     Blur,
+    /// Scatter of the pixels, against photon and read noise.
+    Noise,
     /// Electrons of a pixel without the star.
     Background,
     /// Pixels per λ/D, against the two that hold all of an image.
@@ -55,6 +72,7 @@ impl CheckedQuantity {
             Self::Rotation => "rotation",
             Self::Orientation => "orientation",
             Self::DefocusSign => "sign of the defocus",
+            Self::OrientationOrDefocusSign => "orientation or sign of the defocus",
             Self::Defocus => "defocus",
             Self::Illumination => "illumination",
             Self::Bandwidth => "bandwidth",
@@ -65,6 +83,7 @@ impl CheckedQuantity {
             Self::Companion => "companion",
             Self::NonLinearity => "non-linearity",
             Self::Blur => "blur",
+            Self::Noise => "noise",
             Self::Background => "background",
             Self::Sampling => "sampling",
             Self::Header => "header",
@@ -123,8 +142,59 @@ impl Finding {
         Self { quantity, verdict, scene: None, found: None, sigma: None, gain: 0.0, settings: Vec::new(), explanation }
     }
 
+    /// Writes values and settings in the units of the keys that `scene` names: a pixel in milliarcseconds, a defocus in nm. A wavelength is in nm, in place
+    /// of the sampling that shows it.
+    ///
+    /// # Errors
+    /// [`Error::Scene`](crate::Error::Scene) for settings that the scene does not accept.
+    pub(super) fn take_form_of(&mut self, scene: &Scene) -> Result<()> {
+        let key = match self.quantity {
+            CheckedQuantity::PlateScale | CheckedQuantity::PlateScaleOrWavelength => SAMPLING,
+            CheckedQuantity::Defocus => FOCUS,
+            _ => "",
+        };
+        let own = |value: f64| scene.own_form(key, value).1;
+        if let (Some(sigma), Some(found)) = (&mut self.sigma, self.found)
+            && own(found) != found
+        {
+            // A power law of one form to another: relative errors are equal.
+            *sigma *= (own(found) / found).abs();
+        }
+        self.found = self.found.map(own);
+        self.scene = self.scene.map(own);
+        if self.quantity == CheckedQuantity::Wavelength {
+            let nm_of_sampling = scene.image.wavelength_nm / scene.image.samples_per_lambda_over_d;
+            [&mut self.scene, &mut self.found, &mut self.sigma]
+                .into_iter()
+                .flatten()
+                .for_each(|value| *value *= nm_of_sampling);
+        }
+        let others: Vec<_> = self.settings.iter().filter(|(key, _)| key != SAMPLING && key != FOCUS).cloned().collect();
+        // A pixel of an angle is another sampling at another wavelength.
+        let scene = with(scene, &others)?;
+        let mut settings = Vec::new();
+        for (key, value) in self.settings.drain(..) {
+            let form = value.parse().ok().map(|number: f64| (number, scene.own_form(&key, number)));
+            match form.filter(|(_, (own, _))| *own != key) {
+                None => settings.push((key, value)),
+                // The wavelength alone is wrong: the angle of the pixel stays.
+                Some((sampling, _))
+                    if self.quantity == CheckedQuantity::Wavelength
+                        && (sampling / scene.image.samples_per_lambda_over_d - 1.0).abs() < SAME_PIXEL => {}
+                Some((_, (own, number))) => settings.push((own, rounded(number))),
+            }
+        }
+        self.settings = settings;
+        Ok(())
+    }
+
     /// As [`Finding::new`] for what is not determined.
     pub(super) fn open(quantity: CheckedQuantity, explanation: impl Into<String>) -> Self {
         Self::new(quantity, Verdict::NotDetermined, explanation)
     }
+}
+
+/// A number with seven significant digits.
+fn rounded(value: f64) -> String {
+    format!("{value:.6e}").parse().map_or_else(|_| value.to_string(), |rounded: f64| rounded.to_string())
 }

@@ -4,7 +4,7 @@
 //! (ΣA)²/(M²·ΣA²) with the amplitude A on N samples and M = N·s, s pixels per λ/grid_m (Parseval). About exp(−(2πw)²) at w waves RMS, where
 //! it is not small (Maréchal), and a few hundredths at most, at a caustic, with a defocus of a wave.
 
-use super::finding::{CheckedQuantity, Finding, Verdict};
+use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::Result;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
@@ -45,7 +45,7 @@ pub(super) fn fault(scene: &Scene, frame_e: ArrayView2<f64>) -> Result<Option<Fi
     } else {
         return Ok(None);
     };
-    let settings = found.map(|waves| ("image.diversity_focus_waves_rms".into(), waves.to_string()));
+    let settings = found.map(|waves| (FOCUS.into(), waves.to_string()));
     Ok(Some(Finding {
         scene: Some(waves),
         found,

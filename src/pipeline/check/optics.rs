@@ -1,6 +1,6 @@
 //! Optical parameters of the scene, all fitted together with the modes: which of them the images contradict.
 
-use super::finding::{CheckedQuantity, Finding, Verdict};
+use super::finding::{CheckedQuantity, Finding, SAMPLING, Verdict, WAVELENGTH};
 use crate::linear_algebra::SpdInverse;
 use crate::modal::{FittedOptic, OpticsMinimum};
 use crate::pipeline::consistency::Contradiction;
@@ -10,9 +10,6 @@ use ndarray::{Array1, Array2};
 /// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the cause of a misfit: of a companion, a
 /// saturated or a non-linear detector they leave more.
 pub(super) const MOST_LEFT: f64 = 0.5;
-/// Key of the sampling, and of the wavelength.
-const SAMPLING: &str = "image.samples_per_lambda_over_d";
-const WAVELENGTH: &str = "image.wavelength_nm";
 
 /// The optical parameters that `scene` has, as a value of `estimate.fit_optics`. The amplitude of the defocus is among the modes.
 pub(super) fn parameters(scene: &Scene) -> Vec<Optic> {
@@ -64,15 +61,20 @@ fn quantity(optic: Optic) -> CheckedQuantity {
     }
 }
 
-/// One finding for each of `parameters`. `scale` divides χ² (see [`check`](super::super::check())); `is_explained` says that the parameters
+/// One finding for each of `parameters` of `scene`. `scale` divides χ² (see [`check`](super::super::check())); `is_explained` says that the parameters
 /// together may be the cause.
-pub(super) fn findings(parameters: &[Optic], minimum: &OpticsMinimum, scale: f64, is_explained: bool) -> Vec<Finding> {
+pub(super) fn findings(
+    (scene, parameters): (&Scene, &[Optic]),
+    minimum: &OpticsMinimum,
+    scale: f64,
+    is_explained: bool,
+) -> Vec<Finding> {
     let all = minimum.fitter.fitted_optics();
     let one = |&optic: &Optic| {
         let at: Vec<usize> = (0..all.len()).filter(|&i| all[i].optic == optic).collect();
         let group: Vec<&FittedOptic> = at.iter().map(|&i| &all[i]).collect();
         finding(
-            optic,
+            (scene, optic),
             &group,
             &minimum.covariance.select(ndarray::Axis(0), &at).select(ndarray::Axis(1), &at),
             minimum,
@@ -83,7 +85,7 @@ pub(super) fn findings(parameters: &[Optic], minimum: &OpticsMinimum, scale: f64
 }
 
 fn finding(
-    optic: Optic,
+    (own_scene, optic): (&Scene, Optic),
     group: &[&FittedOptic],
     covariance: &Array2<f64>,
     minimum: &OpticsMinimum,
@@ -107,7 +109,12 @@ fn finding(
                 group.iter().map(|one| format!("{} = {:.4} ± {:.4}", one.key(), one.value, one.sigma)).collect();
             format!("light over the pupil: {}", terms.join(", "))
         }
-        _ => format!("{} = {:.5} ± {:.5}, where the scene has {}", first.key(), first.value, first.sigma, first.scene),
+        _ => {
+            let (key, value) = own_scene.own_form(&first.key(), first.value);
+            let (_, scene) = own_scene.own_form(&first.key(), first.scene);
+            let sigma = if key == first.key() { first.sigma } else { first.sigma * (value / first.value).abs() };
+            format!("{key} = {value:.5} ± {sigma:.5}, where the scene has {scene:.5}")
+        }
     };
     let settings = group.iter().filter(|_| is_fault).map(|one| (one.key(), format!("{:.6}", one.value))).collect();
     let (scene, found) = if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
@@ -162,6 +169,6 @@ pub(super) fn with_header(
         finding.explanation += " (the file confirms the wavelength)";
     } else {
         finding.explanation +=
-            ": another angle of a pixel, wavelength or size of the pupil, which one wavelength does not tell apart";
+            ": another angle of a pixel, wavelength or size of the pupil, which one wavelength does not distinguish";
     }
 }

@@ -4,6 +4,7 @@ use super::finding::{CheckedQuantity, Finding, Verdict};
 use crate::Result;
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::residual_shape::{Shape, ShapeKind};
+use crate::pipeline::warnings::{TOO_SMALL, shown_chi2};
 use crate::scene::Scene;
 
 /// Smallest value of a shape that is a fault. The model's own error looks like a blur of 0.07 pixels, a response
@@ -31,6 +32,24 @@ pub(super) fn finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
     // Of a residual that has another cause the coefficient says nothing.
     let (found, sigma) = (is_fault.then_some(shape.value), (is_fault && sigma.is_finite()).then_some(sigma));
     Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
+}
+
+/// Scatter of the pixels about the model over the stated noise: a fault where χ² is smaller than noise explains. It changes error bars, and no
+/// χ² against another: its gain is 0.
+pub(super) fn noise(fitted: &Fitted) -> Option<Finding> {
+    let found = &fitted.fit.1;
+    let used = found.used_images.iter().filter_map(|&image| found.images.get(image));
+    let (small, all) = used.fold((0, 0), |(small, all), image| (small + usize::from(image.is_too_small()), all + 1));
+    let chi2 = found.reduced_chi2();
+    (2 * small > all).then(|| Finding {
+        scene: Some(1.0),
+        found: Some(chi2.sqrt()),
+        ..Finding::new(
+            CheckedQuantity::Noise,
+            Verdict::Fault,
+            format!("reduced χ² is {}: {TOO_SMALL}", shown_chi2(chi2)),
+        )
+    })
 }
 
 /// Sampling, background and amplitude of the defocus, as the fit has them.

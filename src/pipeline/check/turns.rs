@@ -5,7 +5,7 @@
 //! with the wavefront −W(−u), has the same image: with a pupil of point symmetry and an even diversity the sign of the diversity is as
 //! little determined, and its wrong sign asks for a wavefront of the same size, so that no prior helps.
 
-use super::finding::{CheckedQuantity, Finding, Verdict};
+use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::pipeline::control::Control;
 use crate::pipeline::images::Images;
 use crate::pipeline::orientation::{Poke, check_orientation};
@@ -14,20 +14,35 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 
-/// Part of the pupil's light in which two pupils differ that images tell apart.
+/// Part of the pupil's light in which two pupils differ that images distinguish.
 const DIFFERENT: f64 = 0.01;
 
-/// A scene whose images are turned or flipped, and how.
+/// Keys of the orientation.
+const FLIPS: [&str; 2] = ["image.flip_x", "image.flip_y"];
+const ROTATION: &str = "pupil.rotation_deg";
+
+/// A turn or flip of the images.
 pub(super) struct Turn {
     /// Keys and values.
     pub(super) settings: Vec<(String, String)>,
-    pub(super) quantity: CheckedQuantity,
-    pub(super) name: String,
+    /// Whether the opposite sign of the defocus has the same images. The images of a pupil turned by 180° are those of the opposite sign, so this holds
+    /// for a turn by 180°, and for a flip where the pupil equals its mirror image.
+    pub(super) is_also_sign: bool,
+    name: String,
 }
 
-/// Orientations of the images, and signs of the defocus, that the pupil of `scene` distinguishes from the scene's own; the first of equal
-/// ones. The second value has the names of those that it does not distinguish.
-pub(super) fn turns(scene: &Scene) -> Result<(Vec<Turn>, Vec<String>)> {
+/// What the shape of a pupil shows.
+pub(super) struct Shape {
+    /// Turns that it distinguishes from the scene's orientation; the first of equal ones.
+    pub(super) turns: Vec<Turn>,
+    /// Names of those that it does not distinguish.
+    pub(super) hidden: Vec<String>,
+    /// Whether it shows the sign of the defocus, where the orientation is known.
+    pub(super) shows_sign: bool,
+}
+
+/// Orientations of the images that the pupil of `scene` shows.
+pub(super) fn turns(scene: &Scene) -> Result<Shape> {
     let amplitude = Telescope::new(scene)?.pupil.amplitude;
     let differs = |one: &Array2<f64>, other: &Array2<f64>| {
         let difference = one.iter().zip(other).map(|(a, b)| (a - b).abs()).sum::<f64>();
@@ -36,6 +51,10 @@ pub(super) fn turns(scene: &Scene) -> Result<(Vec<Turn>, Vec<String>)> {
     let (rows, columns) = scene.image.frame_shape();
     let has_geometry = !matches!(scene.pupil.aperture, Aperture::File(_)) && rows == columns;
     let is_focus = scene.image.diversity_file.is_none();
+    let mut opposite = amplitude.clone();
+    opposite.invert_axis(Axis(0));
+    opposite.invert_axis(Axis(1));
+    let shows_sign = is_focus && scene.image.diversity_focus_waves_rms != 0.0 && differs(&amplitude, &opposite);
     let mut seen = vec![amplitude.clone()];
     let (mut turns, mut hidden) = (Vec::new(), Vec::new());
     for quarter in [false, true] {
@@ -57,31 +76,72 @@ pub(super) fn turns(scene: &Scene) -> Result<(Vec<Turn>, Vec<String>)> {
                 hidden.push(name);
                 continue;
             }
+            let is_also_sign = shows_sign && !differs(&map, &opposite);
             seen.push(map);
             let mut settings = Vec::new();
-            let keys = [("image.flip_x", scene.image.flip_x), ("image.flip_y", scene.image.flip_y)];
-            for ((key, now), flip) in keys.into_iter().zip(flip) {
+            let keys = FLIPS.into_iter().zip([scene.image.flip_x, scene.image.flip_y]);
+            for ((key, now), flip) in keys.zip(flip) {
                 settings.extend(flip.then(|| (key.to_string(), (!now).to_string())));
             }
             if quarter {
-                settings.push(("pupil.rotation_deg".into(), (scene.pupil.rotation_deg + 90.0).to_string()));
+                settings.push((ROTATION.into(), (scene.pupil.rotation_deg + 90.0).to_string()));
             }
-            turns.push(Turn { settings, quantity: CheckedQuantity::Orientation, name });
+            turns.push(Turn { settings, is_also_sign, name });
         }
     }
-    let mut opposite = amplitude.clone();
-    opposite.invert_axis(Axis(0));
-    opposite.invert_axis(Axis(1));
-    let waves = scene.image.diversity_focus_waves_rms;
-    if is_focus && waves != 0.0 && differs(&amplitude, &opposite) {
-        let settings = vec![("image.diversity_focus_waves_rms".into(), (-waves).to_string())];
-        turns.push(Turn {
-            settings,
-            quantity: CheckedQuantity::DefocusSign,
-            name: "the opposite sign of the defocus".into(),
-        });
+    Ok(Shape { turns, hidden, shows_sign })
+}
+
+impl Turn {
+    /// Findings of this turn, with which the images are explained.
+    pub(super) fn findings(&self, scene: &Scene, gain: f64, chi2s: &str, shows_sign: bool) -> Vec<Finding> {
+        let fault = |quantity: CheckedQuantity, sentence: String| Finding {
+            gain,
+            ..Finding::new(quantity, Verdict::Fault, sentence)
+        };
+        let name = &self.name;
+        if !self.is_also_sign {
+            let sentence = format!("{name} explains the images: {chi2s}");
+            let turned = Finding { settings: self.settings.clone(), ..fault(CheckedQuantity::Orientation, sentence) };
+            return vec![turned, sign(shows_sign)];
+        }
+        let set: Vec<String> = self.settings.iter().map(|(key, value)| format!("{key} = {value}")).collect();
+        let (focus, opposite) = scene.own_form(FOCUS, -scene.image.diversity_focus_waves_rms);
+        let sentence = format!(
+            "{name} explains the images ({chi2s}), and so does the opposite sign of the defocus, with other maps: set either {} or {focus} = \
+             {opposite}; a known poke of a segment or actuator decides (--segment or --actuator, --poke-nm)",
+            set.join(", ")
+        );
+        vec![fault(CheckedQuantity::OrientationOrDefocusSign, sentence)]
     }
-    Ok((turns, hidden))
+}
+
+/// Finding of a sign of the defocus that no image contradicts.
+pub(super) fn sign(shows_sign: bool) -> Finding {
+    let quantity = CheckedQuantity::DefocusSign;
+    if shows_sign {
+        Finding::new(quantity, Verdict::Agrees, "the pupil's shape shows it, in this orientation")
+    } else {
+        Finding::open(
+            quantity,
+            "the opposite sign, with the wavefront −W(−x, −y), gives the same images: a known poke of a segment or actuator shows it",
+        )
+    }
+}
+
+/// The keys of orientation and sign in which `other` differs from `scene`, with the values of `other`.
+pub(super) fn differences(scene: &Scene, other: &Scene) -> Vec<(String, String)> {
+    let values = |scene: &Scene| {
+        let image = &scene.image;
+        [
+            (FLIPS[0], image.flip_x.to_string()),
+            (FLIPS[1], image.flip_y.to_string()),
+            (ROTATION, scene.pupil.rotation_deg.to_string()),
+            (FOCUS, image.diversity_focus_waves_rms.to_string()),
+        ]
+    };
+    let pairs = values(scene).into_iter().zip(values(other));
+    pairs.filter(|(own, its)| own != its).map(|(_, (key, value))| (key.to_string(), value)).collect()
 }
 
 fn name(quarter: bool, flip: [bool; 2]) -> String {
@@ -98,38 +158,55 @@ fn name(quarter: bool, flip: [bool; 2]) -> String {
     }
 }
 
-/// Finding of a poke: images before it, where there are some, and images behind it, which are checked.
+/// What a poke shows.
+pub(super) struct PokeAnswer {
+    /// Keys to set, with their values; `None` where the poke does not decide.
+    pub(super) settings: Option<Vec<(String, String)>>,
+    /// Decrease of Schwarz's criterion by them.
+    pub(super) gain: f64,
+    pub(super) explanation: String,
+}
+
+/// What a poke shows of images before it, where there are some, and behind it. `is_ambiguous` says that `scene` has a turn in the place of
+/// which the opposite sign of the defocus has the same images: the sign of the poke decides between them.
 pub(super) fn of_poke(
     scene: &Scene,
     (before, after): (Option<&Images>, &Images),
     poke: Poke,
+    is_ambiguous: bool,
     control: &Control,
-) -> Result<[Finding; 2]> {
-    let found = match check_orientation(scene, before, after, poke, control) {
+) -> Result<PokeAnswer> {
+    let mut found = match check_orientation(scene, before, after, poke, control) {
         Ok(found) => found,
-        Err(Error::Value(sentence)) => {
-            return Ok([CheckedQuantity::Orientation, CheckedQuantity::DefocusSign]
-                .map(|what| Finding::open(what, sentence.as_str())));
-        }
+        Err(Error::Value(explanation)) => return Ok(PokeAnswer { settings: None, gain: 0.0, explanation }),
         Err(error) => return Err(error),
     };
-    let is_sign = found.settings.iter().any(|(key, _)| key == "image.diversity_focus_waves_rms");
+    // Of any form of the defocus.
+    let is_sign = |settings: &[(String, String)]| settings.iter().any(|(key, _)| key.starts_with("image.diversity_"));
+    let (best, runner_up) = (&found.best, &found.runner_up);
+    if is_ambiguous && best.sign < 0.0 && !is_sign(&found.settings) {
+        // A reversed poke in turned images: a turn by 180° more and the opposite sign of the defocus have the same images, and its own sign.
+        let waves = scene.image.diversity_focus_waves_rms;
+        let flips = FLIPS.into_iter().zip([scene.image.flip_x, scene.image.flip_y]).zip(best.flip);
+        found.settings.retain(|(key, _)| key == ROTATION);
+        found.settings.extend(flips.map(|((key, now), flip)| (key.to_string(), (now == flip).to_string())));
+        found.settings.push((FOCUS.to_string(), (-waves).to_string()));
+        found.warnings.clear();
+    }
+    let shown = match (is_ambiguous, is_sign(&found.settings)) {
+        (true, true) => "the opposite sign of the defocus, and not a turn with the same images".into(),
+        (true, false) => "a turn, and not the opposite sign of the defocus with the same images".into(),
+        (false, _) => best.description(),
+    };
     let mut explanation = format!(
-        "the poke shows {} (correlation {:.3}; the next orientation {:.3})",
-        found.best.description(),
-        found.best.correlation,
-        found.runner_up.correlation
+        "the poke shows {shown} (correlation {:.3}; the next orientation {:.3})",
+        best.correlation.abs(),
+        runner_up.correlation
     );
     for warning in &found.warnings {
         explanation += &format!("; {warning}");
     }
-    let is_wrong = |is_this: bool| is_this && !found.settings.is_empty();
-    let one = |quantity: CheckedQuantity, is_this: bool| {
-        let verdict = if is_wrong(is_this) { Verdict::Fault } else { Verdict::Agrees };
-        let settings = if is_wrong(is_this) { found.settings.clone() } else { Vec::new() };
-        // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was fitted.
-        let gain = 2.0 * (found.best.log_likelihood - found.runner_up.log_likelihood);
-        Finding { gain, settings, ..Finding::new(quantity, verdict, explanation.as_str()) }
-    };
-    Ok([one(CheckedQuantity::Orientation, !is_sign), one(CheckedQuantity::DefocusSign, is_sign)])
+    // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was fitted.
+    let gain = 2.0 * (best.log_likelihood - runner_up.log_likelihood);
+    Ok(PokeAnswer { settings: Some(found.settings), gain, explanation })
 }

@@ -1,0 +1,90 @@
+//! Orientation of the images and sign of the defocus: what the pupil's shape shows, and what a poke does.
+
+use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
+use super::turns::{self, Turn};
+use super::{Work, chi2_of, pixels_of, with};
+use crate::Result;
+use crate::modal::BasisCache;
+use crate::pipeline::images::Images;
+use crate::pipeline::modal_task::Fitted;
+use crate::pipeline::orientation::Poke;
+use crate::scene::Scene;
+
+/// Largest part of χ² beyond 1 that the right orientation leaves.
+const LEFT_BY_TURN: f64 = 0.1;
+
+impl Work<'_> {
+    /// The findings, and `given` in the orientation with which the rest is checked; `fitted` becomes the fit of it. A poke comes with the
+    /// images before it and behind it.
+    pub(super) fn orientation(
+        &self,
+        given: &Scene,
+        cache: &BasisCache,
+        fitted: &mut Fitted,
+        poke: Option<(Option<&Images>, &Images, Poke)>,
+    ) -> Result<(Scene, Vec<Finding>)> {
+        let (shown, mut findings) = self.turned(given, fitted)?;
+        let mut scene = match &shown {
+            Some(turn) => with(given, &turn.settings)?,
+            None => given.clone(),
+        };
+        let Some((before, after, poke)) = poke else { return Ok((scene, findings)) };
+        let is_ambiguous = shown.is_some_and(|turn| turn.is_also_sign);
+        let found = turns::of_poke(&scene, (before, after), poke, is_ambiguous, self.control)?;
+        let Some(settings) = &found.settings else {
+            // What the shape leaves open stays so; why the poke does not decide is said in its place.
+            findings.retain(|known| known.verdict == Verdict::Fault);
+            for quantity in [CheckedQuantity::Orientation, CheckedQuantity::DefocusSign] {
+                if findings.iter().all(|known| known.quantity != quantity) {
+                    findings.push(Finding::open(quantity, found.explanation.as_str()));
+                }
+            }
+            return Ok((scene, findings));
+        };
+        if !settings.is_empty() {
+            scene = with(&scene, settings)?;
+            *fitted = self.fit(&scene, &cache.for_scene(given, &scene))?;
+        }
+        let gain = findings.iter().map(|known| known.gain).fold(found.gain, f64::max);
+        let settings = turns::differences(given, &scene);
+        let is_sign = settings.iter().any(|(key, _)| key == FOCUS);
+        let one = |quantity: CheckedQuantity, is_this: bool| {
+            let of_fault = Finding { gain, settings: settings.clone(), ..Finding::new(quantity, Verdict::Fault, "") };
+            let base =
+                if is_this && !settings.is_empty() { of_fault } else { Finding::new(quantity, Verdict::Agrees, "") };
+            Finding { explanation: found.explanation.clone(), ..base }
+        };
+        Ok((scene, vec![one(CheckedQuantity::Orientation, !is_sign), one(CheckedQuantity::DefocusSign, is_sign)]))
+    }
+
+    /// The turn of the images that the pupil's shape shows, with which they are explained, and the findings; `fitted` becomes its fit.
+    fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<(Option<Turn>, Vec<Finding>)> {
+        let shape = turns::turns(scene)?;
+        let own_chi2 = chi2_of(fitted);
+        if !fitted.is_explained() && own_chi2 > 1.0 {
+            for turn in shape.turns {
+                let other = with(scene, &turn.settings)?;
+                // A new basis: that of the cache belongs to the scene's rotation.
+                let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
+                let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
+                if (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0) {
+                    let gain = (own_chi2 - chi2) * pixels / chi2.max(1.0);
+                    let chi2s = format!("reduced χ² {chi2:.2} in place of {own_chi2:.1}");
+                    let findings = turn.findings(scene, gain, &chi2s, shape.shows_sign);
+                    *fitted = again;
+                    return Ok((Some(turn), findings));
+                }
+            }
+        }
+        let orientation = if shape.hidden.is_empty() {
+            Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
+        } else {
+            let hidden = shape.hidden.join(", ");
+            Finding::open(
+                CheckedQuantity::Orientation,
+                format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
+            )
+        };
+        Ok((None, vec![orientation, turns::sign(shape.shows_sign)]))
+    }
+}
