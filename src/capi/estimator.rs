@@ -9,7 +9,7 @@ use super::pointer::{place, put_if_wanted, source, text};
 use super::policy::{COPHASE_POLICY_FULL, COPHASE_POLICY_REALTIME};
 use super::sized::{self, Options};
 use super::status::{COPHASE_OK, cophase_status};
-use crate::modal::Calibration;
+use crate::modal::{Calibration, cut_out_hint};
 use crate::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use crate::scene::{Channel, Scene};
 use crate::{Error, Result};
@@ -343,7 +343,14 @@ fn taken_shape(frames: &Input, (rows, cols): (usize, usize)) -> (usize, usize) {
 fn taken(frames: &Input, calibration: &Calibration) -> Result<Images> {
     let (rows, cols) = calibration.shape();
     let [count, ..] = frames.shape();
-    let mut images_e = frames.must_be([count, rows, cols])?.cube()?;
+    let hint = |error| match error {
+        Error::Shape(sentence) => {
+            let [_, given_rows, given_cols] = frames.shape();
+            Error::Shape(sentence + cut_out_hint((given_rows, given_cols), (rows, cols)))
+        }
+        other => other,
+    };
+    let mut images_e = frames.must_be([count, rows, cols]).map_err(hint)?.cube()?;
     let mut bad = Array3::from_elem(images_e.dim(), false);
     for ((k, y, x), value) in images_e.indexed_iter_mut() {
         match calibration.electrons(y, x, *value) {

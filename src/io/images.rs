@@ -71,7 +71,11 @@ fn image_hdu(file: &FitsReader) -> Result<usize> {
         return Ok(index);
     }
     if file.has("IMAGES") {
-        // An estimate file has a table of this name, which is an error: its maps are not images.
+        // An estimate file has a table of this name: its maps are not images.
+        if file.find("IMAGES", HduKind::Table).is_ok() && file.has("MODES") {
+            let reason = "is the result of an estimate and holds no images: the file of the images that it was made from is needed";
+            return Err(file.refuse(reason));
+        }
         return file.find("IMAGES", HduKind::Image);
     }
     file.first_image(&[BADPIX])

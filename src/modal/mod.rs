@@ -85,6 +85,7 @@ pub use model::Model;
 pub(crate) use pistons::pistons_near;
 pub(crate) use plan::{ABERRATION_CYCLES, LEAST_HALF_WIDTH, SPOT_MARGIN};
 pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
+pub(crate) use prepare::{check_frame_shape, cut_out_hint};
 pub use recipe::Recipe;
 pub(crate) use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;

@@ -118,21 +118,35 @@ impl Preparation {
     /// [`Error::Shape`].
     pub(super) fn check(&self, frame: Frame) -> Result<()> {
         let [x, y] = self.frame;
-        if frame.data_e.dim() != (y, x) || frame.bad.dim() != (y, x) {
-            let (rows, columns) = frame.data_e.dim();
-            let keys = if x == y { "image.pixels" } else { "image.columns and image.rows" };
-            let [even_columns, even_rows] = [columns, rows].map(|size| size - size % 2);
-            let even = if (even_columns, even_rows) == (columns, rows) {
-                String::new()
-            } else {
-                format!("; frames are even: {even_columns}x{even_rows}, without the last row or column, is accepted")
-            };
-            return Err(Error::Shape(format!(
-                "the image has {columns}x{rows} pixels where the scene says {x}x{y} ({keys}){even}"
-            )));
-        }
-        Ok(())
+        check_frame_shape(frame.data_e.dim(), (y, x))?;
+        if frame.bad.dim() == (y, x) { Ok(()) } else { check_frame_shape(frame.bad.dim(), (y, x)) }
     }
+}
+
+/// Refuses a frame of other rows and columns than `(y, x)`, those of the scene.
+///
+/// # Errors
+/// [`Error::Shape`].
+pub(crate) fn check_frame_shape((rows, columns): (usize, usize), (y, x): (usize, usize)) -> Result<()> {
+    if (rows, columns) == (y, x) {
+        return Ok(());
+    }
+    let keys = if x == y { "image.pixels" } else { "image.columns and image.rows" };
+    let [even_columns, even_rows] = [columns, rows].map(|size| size - size % 2);
+    let even = if (even_columns, even_rows) == (columns, rows) {
+        String::new()
+    } else {
+        format!("; frames are even: {even_columns}x{even_rows}, without the last row or column, is accepted")
+    };
+    let hint = cut_out_hint((rows, columns), (y, x));
+    Err(Error::Shape(format!(
+        "the image has {columns}x{rows} pixels where the scene says {x}x{y} ({keys}){even}{hint}"
+    )))
+}
+
+/// End of a message on frames that are larger than those of a scene: how such frames are cut out.
+pub(crate) fn cut_out_hint((rows, columns): (usize, usize), (y, x): (usize, usize)) -> &'static str {
+    if rows >= y && columns >= x { "; 'cophase reduce' cuts images of this size out of raw frames" } else { "" }
 }
 
 /// Prepares frames one after the other, in memory of its own. Nothing is allocated after construction.

@@ -5,14 +5,14 @@ use super::consistency::{Electrons, reconcile};
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
-use super::images::{Images, TruthMaps};
+use super::images::{Images, TruthMaps, counted};
 use super::modal_task::ModalTask;
 use super::parts::PartFits;
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
 use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{channel_sequence, channels, map, modal};
-use crate::modal::BasisCache;
+use crate::modal::{BasisCache, check_frame_shape};
 use crate::planner;
 use crate::scene::{Channel, Method, Scene};
 use crate::{Error, Result};
@@ -125,6 +125,7 @@ impl Estimator {
 
     /// What an estimate from `images`, which are of the fitted size, works on.
     pub(super) fn ready<'a>(&self, images: &'a Images) -> Result<Ready<'a>> {
+        check_size(images, &self.given)?;
         let consistent = reconcile(images, &self.given)?;
         let (scene, shortfall, cache) = if consistent.is_changed {
             let (scene, shortfall) = planned(&consistent.scene, &self.control)?;
@@ -187,7 +188,8 @@ impl Estimator {
         notes.extend(self.shortfall.clone());
         for ((channel, whole), (images, cut)) in self.scene.channels().iter().zip(images).zip(cut) {
             let name = &channel.name;
-            let consistent = reconcile(images, &channel.scene).map_err(|error| error.of_channel(name))?;
+            let consistent = check_size(images, &channel.scene).and_then(|()| reconcile(images, &channel.scene));
+            let consistent = consistent.map_err(|error| error.of_channel(name))?;
             notes.extend(whole.notes.iter().map(|note| format!("channel {name}: {note}")));
             remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| format!("Channel {name}: {remark}")));
             ready.push(ChannelImages { name, scene: consistent.scene, images: consistent.images });
@@ -220,6 +222,13 @@ pub(super) struct ReadyChannels<'a> {
     remarks: Vec<String>,
 }
 
+/// Refuses images of another size than the scene's before their cards are compared with its keys: those of a whole raw frame contradict
+/// more than that. In a file with a scene of its own the difference of the scenes is the reason, and it is named first.
+pub(super) fn check_size(images: &Images, scene: &Scene) -> Result<()> {
+    let (_, rows, columns) = images.images_e.dim();
+    if images.scene.is_some() { Ok(()) } else { check_frame_shape((rows, columns), scene.image.fitted_shape()) }
+}
+
 /// Adds the truth and the residual against it, or a warning.
 fn compare_with_truth(estimate: &mut Estimate, truth: Option<&TruthMaps>) {
     let Some(truth) = truth else { return };
@@ -234,9 +243,9 @@ fn compare_with_truth(estimate: &mut Estimate, truth: Option<&TruthMaps>) {
 fn in_order_of<'a>(channels: &[Channel], images: &'a [Images]) -> Result<Vec<&'a Images>> {
     let names = || channels.iter().map(|channel| channel.name.as_str()).collect::<Vec<_>>().join(", ");
     if images.len() != channels.len() {
-        let (given, wanted) = (images.len(), channels.len().max(1));
+        let (given, wanted) = (counted(images.len(), "channel"), channels.len().max(1));
         return Err(Error::Shape(format!(
-            "there are images of {given} channels, where the scene has {wanted} ({})",
+            "there are images of {given}, where the scene has {wanted} ({})",
             if channels.is_empty() { "no [[image.channel]]".into() } else { names() }
         )));
     }

@@ -6,14 +6,14 @@
 use super::consistency::reconcile;
 use super::control::Control;
 use super::estimate::Estimate;
-use super::estimator::Estimator;
+use super::estimator::{Estimator, check_size};
 use super::images::Images;
 use super::misfit::saturation;
 use super::modal_errors::{ModalErrors, change_by};
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
 use crate::loop_response::Corrections;
-use crate::modal::{FittedImage, ImageStatus, ModalFitter, Session, SessionOptions, Status};
+use crate::modal::{FittedImage, ImageStatus, ModalFitter, Session, SessionOptions, Status, check_frame_shape};
 use crate::planner;
 use crate::scene::Scene;
 use crate::tracking::Correction;
@@ -184,6 +184,7 @@ fn fit(
     sessions: &mut [Option<Box<Session>>; 2],
     images: &Images,
 ) -> Result<FrameEstimate> {
+    check_size(images, scene)?;
     let consistent = reconcile(images, scene)?;
     if consistent.is_changed {
         return Err(Error::Image(
@@ -192,13 +193,8 @@ fn fit(
     }
     let electrons = &consistent.images;
     let (data_e, bad) = (electrons.images_e.index_axis(Axis(0), 0), electrons.bad.index_axis(Axis(0), 0));
-    let (rows, columns) = data_e.dim();
     let [width, height] = fitter.model().preparation.frame;
-    if (rows, columns) != (height, width) {
-        return Err(Error::Shape(format!(
-            "the image has {columns}x{rows} pixels: {width}x{height} is accepted, as the scene says"
-        )));
-    }
+    check_frame_shape(data_e.dim(), (height, width))?;
     let is_reduced = fitter.model().preparation.reduced != fitter.model().preparation.frame;
     let native = usize::from(is_reduced && bad.iter().any(|bad| *bad));
     let session = match &mut sessions[native] {

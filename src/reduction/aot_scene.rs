@@ -1,7 +1,7 @@
 //! First scene of an adaptive optics system, from a file of AOT: telescope, turbulence, sensor, mirror and loop in the scene's words. Maps
 //! and matrices stay in the file, which the scene names with the HDU in brackets.
 
-use super::scene_text::{Lines, UNKNOWN, float};
+use super::scene_text::{Lines, UNKNOWN, counted, float};
 use crate::hexagons::HexagonLayout;
 use crate::io::FitsReader;
 use crate::io::aot::{self, AotControl, AotImage, AotMirror, AotSensor, AotSystem, AotTelescope, AotTurbulence};
@@ -136,7 +136,7 @@ fn pupil(telescope: &AotTelescope, (grid_m, whence): (f64, &str), name: &str) ->
             let side_m = telescope.segment_size_m / 2.0;
             let gap_m = (layout.pitch_m - if is_round { 2.0 } else { 3f64.sqrt() } * side_m).max(0.0);
             let aperture = if is_round { "\"round\"" } else { "\"hexagonal\"" };
-            lines.add("aperture", aperture, &format!("{} segments of {}", places.len(), telescope.uid));
+            lines.add("aperture", aperture, &format!("{} of {}", counted(places.len(), "segment"), telescope.uid));
             lines.add("rings", layout.rings, "");
             lines.add("removed_rings", layout.removed_rings, "");
             lines.add("central_segment", layout.has_centre, "");

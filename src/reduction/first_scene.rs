@@ -3,7 +3,7 @@
 use super::aot_scene;
 use super::cut_out::CutOut;
 use super::frame::{Cards, FrameHeader};
-use super::scene_text::{Lines, UNKNOWN, float, printable};
+use super::scene_text::{Lines, UNKNOWN, counted, float, printable};
 use super::star;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit, Quantity};
 use crate::scene::Scene;
@@ -25,6 +25,13 @@ const TELESCOPES: [(&[&str], &str, &str); 2] = [
 /// and Service et al. 2016 (PASP 128, 095004; 9.971 mas since April 2015) for the narrow camera; its manual for the others.
 const CAMERAS: [(&str, &str, f64); 3] =
     [("NIRC2", "NARROW", 9.952), ("NIRC2", "MEDIUM", 19.829), ("NIRC2", "WIDE", 39.686)];
+
+/// Sections of a preset beside its pupil, and what is to be filled in where they stand for those of an unknown telescope.
+const OTHERS: [(&str, &str); 3] = [
+    ("modes", "the modes; these are those of Keck, KL modes of the mirror below"),
+    ("mirror", "the deformable mirror, which gives the KL modes; this is that of Keck"),
+    ("turbulence", "the turbulence, which gives the order of the KL modes; this is that of Keck"),
+];
 
 /// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the header states of the camera; for a file
 /// of AOT telescope, camera, turbulence and loop as its tables state them. A line on what is not known says so in its comment. The scene
@@ -70,17 +77,19 @@ fn of_preset(telescope: &str) -> Result<(String, String, String, f64)> {
     let (preset, remark) = found.map_or(("keck-artificial", ""), |(_, preset, remark)| (*preset, *remark));
     let whose = match found {
         None => format!(
-            "# {UNKNOWN}: the pupil of the telescope; this is that of Keck, because TELESCOP = '{telescope}' is not known\n"
+            "# {UNKNOWN}: the pupil of the telescope; this is that of Keck, because TELESCOP = '{}' is not known\n",
+            printable(telescope)
         ),
         Some(_) if remark.is_empty() => String::new(),
         Some(_) => format!("# {UNKNOWN}: {remark}\n"),
     };
     let pupil = format!("\n[pupil]\n{whose}{}", section(Scene::preset_text(preset)?, "pupil"));
     let mut others = String::new();
-    for part in ["modes", "mirror", "turbulence"] {
+    for (part, what) in OTHERS {
         let keys = section(Scene::preset_text(preset)?, part);
+        let whose = if found.is_none() { format!("# {UNKNOWN}: {what}\n") } else { String::new() };
         if !keys.is_empty() {
-            others += &format!("\n[{part}]\n{keys}");
+            others += &format!("\n[{part}]\n{whose}{keys}");
         }
     }
     Ok((telescope.to_owned(), pupil, others, Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0)))
@@ -144,7 +153,7 @@ fn image(
     }
     match (header.itime_s, of(Quantity::ExposureS).filter(|fact| fact.values[0] > 0.0)) {
         (Some(itime_s), _) => {
-            let comment = format!("{} coadds of {itime_s} s", header.coadds);
+            let comment = format!("{} of {itime_s} s", counted(header.coadds as usize, "coadd"));
             line("exposure_s", float(itime_s * f64::from(header.coadds)), comment);
         }
         (None, Some(fact)) => line("exposure_s", float(fact.values[0]), card(fact)),
@@ -184,4 +193,23 @@ fn section(text: &str, name: &str) -> String {
     let own: Vec<&str> =
         lines.take_while(|line| !line.starts_with('[')).filter(|line| !line.trim().is_empty()).collect();
     own.iter().map(|line| format!("{line}\n")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_section_of_an_unknown_telescope_is_marked() {
+        let marked = |telescope: &str| {
+            let (_, pupil, others, _) = of_preset(telescope).unwrap();
+            let text = pupil + &others;
+            let sections: Vec<&str> = text.split("\n[").skip(1).collect();
+            assert!(sections.len() > 3, "{text}");
+            sections.iter().filter(|section| section.contains(UNKNOWN)).count() as f64 / sections.len() as f64
+        };
+        assert_eq!(marked("Mount Unknown"), 1.0);
+        // Of a telescope that is known only the parts of its pupil are to be checked.
+        assert!(marked("KECK II") < 0.5);
+    }
 }

@@ -28,6 +28,11 @@ impl Lines {
     }
 }
 
+/// `1 coadd`, `2 coadds`.
+pub(super) fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
 /// A number in the syntax of TOML, without the digits of binary fractions.
 pub(super) fn float(value: f64) -> String {
     format!("{:?}", (value * 1e6).round() / 1e6)

@@ -75,7 +75,7 @@ mod tests {
             let own = scene(&[(key, now)]);
             let (name, converted) = own.own_form(read, value);
             assert_eq!(name, key);
-            let image = own.with(&[(&name, &converted.to_string())]).unwrap().image;
+            let image = own.with(&[(&name, &converted.to_string())]).unwrap().image.clone();
             let found = [image.samples_per_lambda_over_d, image.diversity_focus_waves_rms];
             assert!(found.iter().any(|found| (found / value - 1.0).abs() < 1e-12), "{key}: {found:?}");
         }

@@ -305,6 +305,13 @@ impl Scene {
     fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose, settings: &[(&str, &str)]) -> Result<Self> {
         let source = Source { name, text, purpose, settings };
         let document = Document::parse(text).map_err(|error| {
+            if is_name(text) {
+                let name = shown(text.trim());
+                return Error::Scene(format!(
+                    "{}: '{name}' is a name and not the text of a scene; the text of that file or preset is needed",
+                    source.name
+                ));
+            }
             let message = error.message().lines().collect::<Vec<_>>().join("; ");
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))
         })?;
@@ -370,6 +377,12 @@ impl Sections {
         }
         Ok(())
     }
+}
+
+/// Whether a text that is not TOML may be the name of a file or a preset: one line without the signs of a section or a key.
+fn is_name(text: &str) -> bool {
+    let text = text.trim();
+    !text.is_empty() && !text.contains(['\n', '=', '[', ']', '#', '"'])
 }
 
 /// Reference of every section and key of a scene, as text: unit, meaning, accepted values, default.

@@ -58,7 +58,7 @@ section! {
         /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over pupil.grid_m, or as GRID_M or
         /// PUPLSCAL say.
         diversity_file: Option<PathBuf>, ANY, unset("a focus");
-        /// Signal-to-noise ratio of the brightest pixel. Simulation only.
+        /// Signal-to-noise ratio of the brightest pixel, which photon_noise or read_noise_e limits. Simulation only.
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
         /// Electrons of the star in an image. Simulation only.
         flux_e: Option<f64>, above(0.0, 1e18), unset("given by peak_snr");
@@ -147,7 +147,17 @@ impl Check for ImageScene {
             return Err(reader.error("filter_file", sentence));
         }
         if self.flux_e.is_none() {
-            self.peak_snr.get_or_insert(500.0);
+            let snr = *self.peak_snr.get_or_insert(500.0);
+            // Without noise the ratio is infinite for any flux.
+            if !self.photon_noise && self.simulated_read_noise_e() == 0.0 {
+                let read_noise =
+                    if self.read_noise_e.is_some() { "image.read_noise_e = 0" } else { "no image.read_noise_e" };
+                let sentence = format!(
+                    "image.peak_snr = {snr} gives no flux where there is no noise (image.photon_noise = false and {read_noise}); \
+                     image.flux_e in its place, or one of the two noises, is needed"
+                );
+                return Err(reader.error("photon_noise", sentence));
+            }
         }
         if self.diversity_file.is_some() {
             self.diversity_focus_waves_rms = 0.0;

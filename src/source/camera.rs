@@ -139,7 +139,8 @@ impl<'a> Camera<'a> {
 }
 
 /// Electrons of the star: `image.flux_e`, or the flux for which the brightest pixel (`peak` of the PSF) has the
-/// signal-to-noise ratio `image.peak_snr` = s/√(s + background + read noise²), s its signal.
+/// signal-to-noise ratio `image.peak_snr` = s/√(s + background + read noise²), s its signal. A scene has one of the two noises where it
+/// does not have a flux.
 pub fn flux_e(image: &ImageScene, peak: f64) -> f64 {
     image.flux_e.unwrap_or_else(|| {
         let snr = image.peak_snr.unwrap_or(500.0);

@@ -32,7 +32,7 @@ delete(sky);
 
 % ---- refusals
 
-must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Estimator());
+must_fail('BAD_ARGUMENT', 'scene is', @() cophase.Estimator());
 must_fail('BAD_SCENE', 'estimate.optimizer = "bfgs"', @() cophase.Estimator([scene, sprintf('optimizer = "bfgs"\n')]));
 must_fail('BAD_VALUE', '''full'' or ''realtime'' is accepted', @() cophase.Estimator(scene, 'policy', 'quick'));
 must_fail('BAD_VALUE', 'threads is 0', @() cophase.Estimator(scene, 'threads', 0));

@@ -10,7 +10,9 @@ import os
 import pickle
 import signal
 import sys
+import tempfile
 import threading
+from pathlib import Path
 
 import cophase
 import numpy as np
@@ -45,6 +47,8 @@ def one_of_each(scene, model, session, frame):
     bad = failure(lambda: cophase.Estimator(missing), cophase.BadFileError)
     assert "none.txt" in str(bad) and "mirror.actuator_file" in str(bad), bad
     failure(lambda: session.fit(frame[1:]), cophase.BadShapeError)
+    whole = np.zeros((512, 512))
+    assert "cophase reduce" in str(failure(lambda: cophase.Estimator(scene).estimate(whole), cophase.BadShapeError))
     failure(lambda: session.evaluate(np.zeros(model.modes)), cophase.BadValueError)
     failure(lambda: session.evaluate(np.zeros(model.modes), 0 * frame), cophase.BadImageError)
     failure(lambda: cophase.Session(model, device="opencl:9:9"), cophase.DeviceError)
@@ -54,6 +58,37 @@ def one_of_each(scene, model, session, frame):
     session.cancel()
     failure(lambda: session.fit(frame), cophase.Interrupted)
     assert session.fit(frame).status == "OK"
+
+
+def scenes_by_name(path, scene):
+    """A scene is a file, a preset or a text, wherever one is taken."""
+    text = cophase.preset("keck-artificial")
+    assert cophase.scene_set("keck-artificial", image__pixels=128) == cophase.scene_set(text, image__pixels=128)
+    assert cophase.scene_set(path) == cophase.scene_set(Path(path)) == scene
+    factory = cophase.SessionFactory(Path(path))
+    assert factory == cophase.SessionFactory(path) == cophase.SessionFactory(scene, os.path.dirname(path))
+    assert factory.scene == scene and cophase.Model(path).mode_names == factory.model().mode_names
+    takers = (cophase.Estimator, cophase.JointSession, cophase.Model, cophase.Simulator, cophase.scene_set)
+    with tempfile.TemporaryDirectory() as folder:
+        # The files that it names are beside it.
+        mine, raw = os.path.join(folder, "mine.toml"), os.path.join(folder, "raw.fits")
+        Path(mine).write_text(cophase.scene_set(scene, mirror__actuator_file="none.txt"))
+        Path(raw).write_bytes(b"SIMPLE  =\xff")
+        error = failure(lambda: cophase.Estimator(mine), cophase.BadFileError)
+        assert os.path.join(folder, "none.txt") in str(error), error
+        recipe = cophase.Estimator(Path(path), directory=folder).__reduce__()[1]
+        assert recipe[0] == scene and recipe[-1] == folder
+        for take in takers:
+            error = failure(lambda: take(os.path.join(folder, "no.toml")), cophase.BadFileError)
+            assert "no.toml: there is no such file of a scene" in str(error) and "keck-artificial" in str(error), error
+            assert "raw.fits: is not a text" in str(failure(lambda: take(raw), cophase.BadFileError))
+            assert f"{folder}: " in str(failure(lambda: take(Path(folder)), cophase.BadFileError))
+            error = failure(lambda: take("keck-artifical"), cophase.BadSceneError)
+            assert "did you mean 'keck-artificial'?" in str(error), error
+            failure(lambda: take(3), TypeError)
+    # A simulation without noise needs a flux.
+    dark = {"image__photon_noise": False, "image__read_noise_e": 0}
+    assert "image.flux_e" in str(failure(lambda: cophase.scene_set("keck-onsky", **dark), cophase.BadSceneError))
 
 
 def faults(model, frame):
@@ -152,9 +187,9 @@ def ctrl_c(model, frame):
     assert session.fit(frame).status == "OK"
 
 
-def main(scene, debug=None):
-    with open(scene, encoding="utf-8") as file:
-        scene = file.read()
+def main(path, debug=None):
+    scene = Path(path).read_text("utf-8")
+    scenes_by_name(path, scene)
     model = cophase.Model(scene)
     frame = stars(model)[0][0]
     every_status_has_its_exception()

@@ -67,6 +67,7 @@ static void refused_scenes(const char *scene)
     REFUSED(COPHASE_BAD_SCENE, "apertur", cophase_model_create("[pupil]\napertur = 3\n", NULL, NULL, &model));
     REFUSED(COPHASE_BAD_SCENE, "", cophase_model_create("", NULL, NULL, &model));
     REFUSED(COPHASE_BAD_SCENE, "", cophase_model_create("[[[", NULL, NULL, &model));
+    REFUSED(COPHASE_BAD_SCENE, "'scene.toml' is a name", cophase_model_create("scene.toml", NULL, NULL, &model));
     REFUSED(COPHASE_BAD_ARGUMENT, "scene_text", cophase_model_create("\xff", NULL, NULL, &model));
     REFUSED(COPHASE_BAD_ARGUMENT, "directory", cophase_model_create(scene, "\xff", NULL, &model));
     REFUSED(COPHASE_BAD_FILE, "no-such-modes.fits",

@@ -34,9 +34,9 @@ end
 function a_model(scene, m)
     must_fail('BAD_SCENE', 'apertur', @() cophase.Model(sprintf('[pupil]\napertur = 3\n')));
     must_fail('BAD_SCENE', '', @() cophase.Model(''));
-    must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Model(3));
-    must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Model());
-    must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Model(['ab'; 'cd']));
+    must_fail('BAD_ARGUMENT', 'scene is', @() cophase.Model(3));
+    must_fail('BAD_ARGUMENT', 'scene is', @() cophase.Model());
+    must_fail('BAD_ARGUMENT', 'scene is', @() cophase.Model(['ab'; 'cd']));
     must_fail('BAD_ARGUMENT', 'directory', @() cophase.Model(scene, 3));
     must_fail('BAD_ARGUMENT', 'pupil, segments, modes or diversity_nm', @() cophase.Model(scene, '', 'pupille', 1));
     must_fail('BAD_ARGUMENT', 'no value', @() cophase.Model(scene, '', 'pupil'));

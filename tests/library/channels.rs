@@ -154,7 +154,7 @@ fn images_of_other_channels_than_the_scenes_are_refused() {
     let one = estimator.estimate(&images[0]).unwrap_err().to_string();
     assert!(one.contains("the scene has 2 ([[image.channel]])"), "{one}");
     let few = estimator.estimate_channels(&images[..1]).unwrap_err().to_string();
-    assert!(few.contains("images of 1 channels, where the scene has 2 (plus, minus)"), "{few}");
+    assert!(few.contains("images of 1 channel, where the scene has 2 (plus, minus)"), "{few}");
     let mut other = images.clone();
     other[1].channel = Some("blue".into());
     let unknown = estimator.estimate_channels(&other).unwrap_err().to_string();

@@ -181,13 +181,19 @@ fn an_image_of_an_odd_size_is_read_without_its_last_row_and_column() {
         assert!(found.is_sound(), "{:?}", found.warnings);
     }
     let error = refused(&scene, &padded(105, 105));
-    for words in
-        ["the image has 105x105 pixels where the scene says 96x96 (image.pixels)", "104x104", "without the last"]
-    {
+    for words in [
+        "the image has 105x105 pixels where the scene says 96x96 (image.pixels)",
+        "104x104",
+        "without the last",
+        "reduce",
+    ] {
         assert!(error.contains(words), "{error}");
     }
     let error = refused(&scene, &padded(104, 104));
-    assert!(error.ends_with("104x104 pixels where the scene says 96x96 (image.pixels)"), "{error}");
+    let words = "104x104 pixels where the scene says 96x96 (image.pixels); 'cophase reduce' cuts images of this size out of raw frames";
+    assert!(error.ends_with(words), "{error}");
+    let error = refused(&scene, &padded(94, 104));
+    assert!(error.ends_with("104x94 pixels where the scene says 96x96 (image.pixels)"), "{error}");
 }
 
 #[test]

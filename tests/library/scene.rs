@@ -260,11 +260,30 @@ fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
         let line = broken.lines().count();
         assert!(message.starts_with(&format!("scene line {line}: not TOML: ")), "{message}");
     }
+    for name in ["keck-artificial", "my scenes/keck.toml\n"] {
+        let named = name.trim();
+        let message = format!(
+            "scene: '{named}' is a name and not the text of a scene; the text of that file or preset is needed"
+        );
+        assert_eq!(refusal(name), message);
+    }
+}
+
+#[test]
+fn images_without_noise_need_a_flux() {
+    let quiet = [("image.photon_noise", "false"), ("image.read_noise_e", "0")];
+    let preset = Scene::preset("keck-artificial").unwrap();
+    let flux = [("image.peak_snr", ""), ("image.flux_e", "1e6")];
+    assert_eq!(preset.with(&[quiet, flux].concat()).unwrap().image.flux_e, Some(1e6));
+    // Either noise is enough.
+    for noise in quiet {
+        assert_eq!(preset.with(&[noise]).unwrap().image.peak_snr, Some(500.0));
+    }
 }
 
 #[test]
 fn contradictions_are_refused() {
-    let cases: [(&str, Settings, &str); 30] = [
+    let cases: [(&str, Settings, &str); 32] = [
         ("keck-artificial", &[("image.flux_e", "1e6")], "'image.peak_snr' and 'image.flux_e' are both given"),
         ("keck-artificial", &[("image.diversity_file", "d.fits")], "'image.diversity_file' are both given"),
         ("keck-artificial", &[("image.crop_pixels", "482")], "image.crop_pixels = 482"),
@@ -311,6 +330,16 @@ fn contradictions_are_refused() {
         ("keck-onsky", &[("control.condition_number", "300")], "'control.condition_number' are both given"),
         ("keck-artificial", &[("control.gain", "0.2")], "a section [wavefront_sensor] is needed"),
         ("keck-artificial", &[("image.pixel_fill", "1.5")], "image.pixel_fill = 1.5 is not accepted"),
+        (
+            "keck-artificial",
+            &[("image.photon_noise", "false"), ("image.read_noise_e", "0")],
+            "image.peak_snr = 500 gives no flux where there is no noise (image.photon_noise = false and image.read_noise_e = 0)",
+        ),
+        (
+            "keck-onsky",
+            &[("image.photon_noise", "false"), ("image.read_noise_e", ""), ("image.peak_snr", "")],
+            "image.peak_snr = 500 gives no flux where there is no noise (image.photon_noise = false and no image.read_noise_e)",
+        ),
     ];
     for (preset, settings, part) in cases {
         let message = refused_setting(preset, settings);

@@ -27,7 +27,7 @@ classdef Estimate < cophase.Handle
     %      correct  what to add to segments, mirror and reference slopes
     %
     %   Example:
-    %       e = cophase.Estimator(scene_text).estimate(frames);
+    %       e = cophase.Estimator(scene).estimate(frames);
     %       errorbar(e.coefficients_nm, e.sigma_nm)
     %
     %   See also cophase.Estimator, cophase.Estimate.report, cophase.Estimate.write, cophase.Estimate.correct.

@@ -1,21 +1,23 @@
 classdef Estimator < cophase.Handle
     %ESTIMATOR  The full pipeline for images of one scene, as the program does it.
-    %   estimator = cophase.Estimator(scene_text) makes an estimator of a scene (TOML). The scene's estimate.method says
-    %   whether the estimate is modal or maximum a posteriori (MAP, 'full-phase': the wavefront behind each exposure,
-    %   static errors separated from the turbulence). With estimate.budget_nm the model is planned here, which takes
-    %   some seconds. The results are those of `cophase estimate`, to the bit.
+    %   estimator = cophase.Estimator(scene) makes an estimator of a scene: a TOML file, the name of a preset
+    %   (cophase.preset), or TOML text. The scene's estimate.method says whether the estimate is modal or maximum a
+    %   posteriori (MAP, 'full-phase': the wavefront behind each exposure, static errors separated from the turbulence).
+    %   With estimate.budget_nm the model is planned here, which takes some seconds. The results are those of
+    %   `cophase estimate`, to the bit.
     %
-    %   estimator = cophase.Estimator(scene_text, Name, Value, ...) chooses:
+    %   estimator = cophase.Estimator(scene, Name, Value, ...) chooses:
     %      'policy'     'full': modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it;
     %                   'realtime': one fit of the scene's modes, no retries, as a cophase.Session does; 'full'
     %      'threads'    number of threads, -1 for one per processor, which does not change results; -1
-    %      'directory'  directory of the files that the scene names; the working directory
+    %      'directory'  directory of the files that the scene names; that of the scene's file, or else the working
+    %                   directory
     %   The beginning of a name is enough, in upper or lower case.
     %
     %   Failures raise cophase:<STATUS>, such as cophase:BAD_SCENE, with one sentence.
     %
     %   Example:
-    %       estimator = cophase.Estimator(cophase.preset('keck-artificial'));
+    %       estimator = cophase.Estimator('scene.toml');
     %       e = estimator.estimate(frames);
     %       disp(e.report())
     %       imagesc(e.phasing_nm), axis image
@@ -23,11 +25,12 @@ classdef Estimator < cophase.Handle
     %   See also cophase.Estimator.estimate, cophase.Estimate, cophase.Session, on_sky.
 
     methods
-        function self = Estimator(scene_text, varargin)
+        function self = Estimator(scene, varargin)
             if nargin < 1
-                error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+                error('cophase:BAD_ARGUMENT', 'scene is missing: a file, a preset or the text of a scene is accepted');
             end
-            self.create('estimator.create', scene_text, varargin{:});
+            [text, directory] = cophase.Handle.read_scene(scene);
+            self.create('estimator.create', text, 'directory', directory, varargin{:});
         end
 
         function result = estimate(self, frames, varargin)

@@ -24,11 +24,49 @@ classdef Handle < handle
     methods (Access = protected)
         function create(self, command, varargin)
             % Makes the object by a command of the gateway.
-            self.id = cophase_mex(command, varargin{:});
+            self.id = cophase.Handle.call(command, varargin{:});
         end
     end
 
     methods (Static, Hidden)
+        function varargout = call(command, varargin)
+            % A command of the gateway that needs no object: the first of a program.
+            try
+                [varargout{1:max(nargout, 1)}] = cophase_mex(command, varargin{:});
+            catch failure
+                if any(strcmp(failure.identifier, {'Octave:undefined-function', 'MATLAB:UndefinedFunction'}))
+                    folder = fileparts(fileparts(mfilename('fullpath')));
+                    error('cophase:BAD_FILE', ['cophase_mex, the compiled part of this package, is not on the path: run ' ...
+                        'build in %s first, or add the folder where build put it'], folder);
+                end
+                rethrow(failure);
+            end
+        end
+
+        function [text, directory] = read_scene(scene)
+            % Text of the scene that a caller means, and the directory of its file; '' where there is none. A scene is a
+            % file, a preset where there is no file of its name, as for the program's --scene, or the text itself. A text
+            % has a line break or an equals sign, because every scene has one.
+            text = scene;
+            directory = '';
+            if isa(scene, 'string') && numel(scene) == 1
+                scene = char(scene);
+            end
+            is_name = ischar(scene) && size(scene, 1) == 1 && ~isempty(strtrim(scene)) && ...
+                ~any(scene == sprintf('\n') | scene == '=');
+            if ~is_name
+                return
+            elseif isfile(scene)
+                text = fileread(scene);
+                directory = fileparts(scene);
+            elseif any(scene == '.' | scene == '/' | scene == filesep())
+                error('cophase:BAD_FILE', ['%s: there is no such file of a scene: a file, the name of a preset such as ' ...
+                    'keck-artificial, or the text of a scene is accepted'], scene);
+            else
+                text = cophase.preset(scene);
+            end
+        end
+
         function id = number(value)
             % Number of an object; 0, which the gateway refuses, for any other value.
             id = 0;

@@ -1,11 +1,12 @@
 classdef JointSession < cophase.Handle
     %JOINTSESSION  Fits of one frame of each channel of a scene, and their combination, in memory that is allocated beforehand.
-    %   s = cophase.JointSession(scene_text) makes a session of a scene with channels ([[image.channel]]), such as
-    %   cophase.preset('keck-pair'). Each channel is fitted as a cophase.Session fits a frame, to the same bits, by the
-    %   policy 'realtime'. A scene with a channel in focus is refused: cophase.Estimator takes it.
+    %   s = cophase.JointSession(scene) makes a session of a scene with channels ([[image.channel]]): a TOML file, the name
+    %   of a preset such as 'keck-pair', or TOML text. Each channel is fitted as a cophase.Session fits a frame, to the
+    %   same bits, by the policy 'realtime'. A scene with a channel in focus is refused: cophase.Estimator takes it.
     %
-    %   s = cophase.JointSession(scene_text, Name, Value, ...) chooses 'device', 'precision', 'threads', 'max_evaluations'
-    %   and 'step_tolerance_nm' as for cophase.Session, and the 'directory' of the files that the scene names.
+    %   s = cophase.JointSession(scene, Name, Value, ...) chooses 'device', 'precision', 'threads', 'max_evaluations'
+    %   and 'step_tolerance_nm' as for cophase.Session, and the 'directory' of the files that the scene names, which is
+    %   that of the scene's file, or else the working directory, by default.
     %
     %   Methods:
     %      fit        common modes of one frame of each channel, with error bars
@@ -32,11 +33,12 @@ classdef JointSession < cophase.Handle
     end
 
     methods
-        function self = JointSession(scene_text, varargin)
+        function self = JointSession(scene, varargin)
             if nargin < 1
-                error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+                error('cophase:BAD_ARGUMENT', 'scene is missing: a file, a preset or the text of a scene is accepted');
             end
-            self.create('joint_session.create', scene_text, varargin{:});
+            [text, directory] = cophase.Handle.read_scene(scene);
+            self.create('joint_session.create', text, 'directory', directory, varargin{:});
             numbers = (1:cophase_mex('joint_session.channels', self.id))';
             self.channels = arrayfun(@(k) self.text('CHANNEL_NAME', k), numbers, 'UniformOutput', false);
             self.models = arrayfun(@(k) cophase.Model(self, k), numbers, 'UniformOutput', false);

@@ -1,12 +1,12 @@
 classdef Model < cophase.Handle
     %MODEL  Model of an image: telescope, modes, diversity, camera.
-    %   m = cophase.Model(scene_text) builds the model of a scene (TOML). This takes about half a second at the size of
-    %   Keck. Any number of sessions can use it.
+    %   m = cophase.Model(scene) builds the model of a scene: a TOML file, the name of a preset (cophase.preset), or TOML
+    %   text. This takes about half a second at the size of Keck. Any number of sessions can use it.
     %
-    %   m = cophase.Model(scene_text, directory) has the directory of the files that the scene names; the working
-    %   directory by default.
+    %   m = cophase.Model(scene, directory) has the directory of the files that the scene names; that of the scene's file,
+    %   or else the working directory, by default.
     %
-    %   m = cophase.Model(scene_text, directory, Name, Value, ...) takes arrays instead of the scene's telescope:
+    %   m = cophase.Model(scene, directory, Name, Value, ...) takes arrays instead of the scene's telescope:
     %      'pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. Required with the others. One of
     %                      at least twice pupil.samples is averaged onto that grid, which the modes then have.
     %      'segments'      n x n labels of each sample's segment, from 0 or 1; negative, or 0 where they begin at 1,
@@ -41,18 +41,19 @@ classdef Model < cophase.Handle
     end
 
     methods
-        function self = Model(scene_text, directory, varargin)
+        function self = Model(scene, directory, varargin)
             if nargin < 1
-                error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+                error('cophase:BAD_ARGUMENT', 'scene is missing: a file, a preset or the text of a scene is accepted');
             end
-            if nargin < 2
-                directory = '';
-            end
-            if isa(scene_text, 'cophase.JointSession')
-                % The model of one of its channels.
-                self.create('joint_session.model', cophase.Handle.number(scene_text), directory);
+            if isa(scene, 'cophase.JointSession')
+                % The model of one of its channels, whose number stands in the place of the directory.
+                self.create('joint_session.model', cophase.Handle.number(scene), directory);
             else
-                self.create('model.create', scene_text, directory, varargin{:});
+                [text, folder] = cophase.Handle.read_scene(scene);
+                if nargin < 2 || isempty(directory)
+                    directory = folder;
+                end
+                self.create('model.create', text, directory, varargin{:});
             end
             info = cophase_mex('model.info', self.id);
             self.modes = info.modes;
@@ -130,7 +131,7 @@ classdef Model < cophase.Handle
             %   See also cophase.Model, cophase.Session.
             names = {'wavelength_nm', 'frame_shape', 'samples_per_lambda_over_d', 'diversity_focus_waves_rms', ...
                 'read_noise_e', 'segment_modes', 'ncpa', 'grid_m', 'exact_zernikes', 'segments', 'diversity_nm'};
-            places = cophase_mex('options', names, varargin{:});
+            places = cophase.Handle.call('options', names, varargin{:});
             given = cell(size(names));
             given(places > 0) = varargin(places(places > 0));
             if isempty(given{9}) && ~isempty(modes)

@@ -1,9 +1,9 @@
 classdef Simulator < cophase.Handle
     %SIMULATOR  Simulator of an AO system: turbulence, wavefront sensor, mirror, control, science camera.
-    %   s = cophase.Simulator(scene_text) builds the system of a scene (TOML). This takes about a second at the size of
-    %   Keck.
-    %   s = cophase.Simulator(scene_text, directory) has the directory of the files that the scene names; the working
-    %   directory by default.
+    %   s = cophase.Simulator(scene) builds the system of a scene: a TOML file, the name of a preset (cophase.preset), or
+    %   TOML text. This takes about a second at the size of Keck.
+    %   s = cophase.Simulator(scene, directory) has the directory of the files that the scene names; that of the scene's
+    %   file, or else the working directory, by default.
     %
     %   s.step(n) advances the loop by n frames; the properties are those of the last frame. Maps are (y, x), double.
     %   The same scene gives the same bits in every language.
@@ -30,14 +30,15 @@ classdef Simulator < cophase.Handle
     end
 
     methods
-        function self = Simulator(scene_text, directory)
+        function self = Simulator(scene, directory)
             if nargin < 1
-                error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+                error('cophase:BAD_ARGUMENT', 'scene is missing: a file, a preset or the text of a scene is accepted');
             end
-            if nargin < 2
-                directory = '';
+            [text, folder] = cophase.Handle.read_scene(scene);
+            if nargin < 2 || isempty(directory)
+                directory = folder;
             end
-            self.create('simulator.create', scene_text, directory);
+            self.create('simulator.create', text, directory);
         end
 
         function step(self, frames)

@@ -8,7 +8,7 @@ function list = devices()
     %       s = cophase.Session(m, 'device', list(end).name);
     %
     %   See also cophase.Session.
-    lines = regexp(cophase_mex('devices'), '([^\t\n]*)\t([^\n]*)', 'tokens');
+    lines = regexp(cophase.Handle.call('devices'), '([^\t\n]*)\t([^\n]*)', 'tokens');
     list = struct('name', cell(numel(lines), 1), 'description', '');
     for i = 1:numel(lines)
         [list(i).name, list(i).description] = lines{i}{:};

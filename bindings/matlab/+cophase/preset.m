@@ -4,8 +4,8 @@ function text = preset(name)
     %   'keck-artificial', 'keck-onsky' or 'jwst-pair'; the error of another name lists all.
     %
     %   Example:
-    %       m = cophase.Model(cophase.preset('keck-artificial'));
+    %       disp(cophase.preset('keck-artificial'))
     %
     %   See also cophase.scene_set, cophase.Estimator, cophase.Model, cophase.Simulator.
-    text = cophase_mex('preset', name);
+    text = cophase.Handle.call('preset', name);
 end

@@ -1,26 +1,29 @@
-function text = scene_set(scene_text, varargin)
+function text = scene_set(scene, varargin)
     %SCENE_SET  Scene with other values for some keys; its comments stay.
-    %   text = cophase.scene_set(scene_text, KEY, VALUE, ...) sets each key, section and name, to its value: a number,
-    %   a logical, a row of numbers or a cell (a list), a text (words and file names need no quotes), or [] for the
-    %   key's default. Units are in the keys' names; 'cophase scene --reference' describes them.
+    %   text = cophase.scene_set(scene, KEY, VALUE, ...) returns the text of a scene, which is a TOML file, the name of a
+    %   preset, or a text, with each key, section and name, set to its value: a number, a logical, a row of numbers or a
+    %   cell (a list), a text (words and file names need no quotes), or [] for the key's default. Units are in the keys'
+    %   names; 'cophase scene --reference' describes them. Keys are set one after the other, each in a valid scene.
+    %
+    %   Names of files in the scene stay as they are: where they are relative to the directory of its file, give that as
+    %   directory to what takes the text.
     %
     %   A key that does not exist, or a value that it does not accept, raises cophase:BAD_SCENE.
     %
     %   Example:
-    %       scene = cophase.preset('keck-artificial');
-    %       scene = cophase.scene_set(scene, 'image.peak_snr', 50, 'estimate.fit_optics', {'plate-scale'});
+    %       scene = cophase.scene_set('keck-artificial', 'image.peak_snr', 50, 'estimate.fit_optics', {'plate-scale'});
     %       e = cophase.Estimator(scene).estimate(frames);
     %
     %   See also cophase.preset, cophase.Estimator, cophase.Model, cophase.Simulator.
     if nargin < 1
-        error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+        error('cophase:BAD_ARGUMENT', 'scene is missing: a file, a preset or the text of a scene is accepted');
     end
     if mod(numel(varargin), 2) == 1
         error('cophase:BAD_ARGUMENT', 'the last key has no value: KEY, VALUE, ... is accepted');
     end
-    text = scene_text;
+    text = cophase.Handle.read_scene(scene);
     for i = 1:2:numel(varargin)
-        text = cophase_mex('scene_set', text, varargin{i}, toml(varargin{i + 1}));
+        text = cophase.Handle.call('scene_set', text, varargin{i}, toml(varargin{i + 1}));
     end
 end
 

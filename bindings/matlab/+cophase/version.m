@@ -3,5 +3,5 @@ function text = version()
     %   text = cophase.version() returns text such as '0.1.0'.
     %
     %   See also cophase.devices, cophase.preset.
-    text = cophase_mex('version');
+    text = cophase.Handle.call('version');
 end

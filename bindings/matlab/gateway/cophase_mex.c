@@ -30,7 +30,7 @@ static cophase_status scene_set(const void *object, int32_t what, size_t index, 
 /* (scene_text, 'section.name', value): the scene with it; an empty value removes the key. */
 static void do_scene_set(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    const char *scene_text = text(in[0], "scene_text"), *key = text(in[1], "the key"), *value = text(in[2], "the value");
+    const char *scene_text = text(in[0], "scene"), *key = text(in[1], "the key"), *value = text(in[2], "the value");
     const scene_change change = {scene_text == NULL ? "" : scene_text, key == NULL ? "" : key, value == NULL ? "" : value};
 
     out[0] = long_text(scene_set, &change, 0, 0);

@@ -8,7 +8,7 @@ enum { POLICY, THREADS, DIRECTORY, ESTIMATOR_OPTION_COUNT };
 /* (scene_text, 'policy', 'full', ...): a new estimator. */
 static void do_create_estimator(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    const char *scene_text = text(in[0], "scene_text");
+    const char *scene_text = text(in[0], "scene");
     const mxArray *given[ESTIMATOR_OPTION_COUNT];
     cophase_estimator_options chosen_options = {0};
     cophase_estimator *estimator;

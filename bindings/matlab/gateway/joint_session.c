@@ -9,7 +9,7 @@ static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in
 {
     const mxArray *directory;
     const cophase_session_options chosen_options = session_options_of(inputs - 1, in + 1, &directory);
-    const char *scene = text(in[0], "scene_text");
+    const char *scene = text(in[0], "scene");
     cophase_joint_session *session;
     cophase_model *model;
     cophase_model_info info;

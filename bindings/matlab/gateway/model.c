@@ -12,7 +12,7 @@ enum { PUPIL, SEGMENTS, MODES, DIVERSITY_NM, ARRAY_COUNT };
 /* (scene_text, directory, 'pupil', pupil, ...): a new model. */
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    const char *scene_text = text(in[0], "scene_text"), *directory = text(in[1], "directory");
+    const char *scene_text = text(in[0], "scene"), *directory = text(in[1], "directory");
     const mxArray *given[ARRAY_COUNT];
     cophase_model_arrays arrays = {0};
     cophase_model_info info = {0};

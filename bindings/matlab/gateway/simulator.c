@@ -9,7 +9,7 @@ static cophase_simulator *simulator_of(const mxArray *value)
 /* (scene_text, directory): a new simulator. */
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    const char *scene_text = text(in[0], "scene_text"), *directory = text(in[1], "directory");
+    const char *scene_text = text(in[0], "scene"), *directory = text(in[1], "directory");
     cophase_simulator *simulator;
 
     check(cophase_simulator_create(scene_text == NULL ? "" : scene_text, directory, &simulator));

@@ -3,23 +3,23 @@
 The library ``libcophase`` in Python. Arrays are ``[row = y, col = x]``. A unit ends each name: wavefronts ``_nm`` of
 optical path difference, angles on the sky ``_mas``, signal ``_e`` (electrons), time ``_s``.
 
-All images of a scene at once, as the program does it:
+All images of a scene at once, as the program does it. A scene is a TOML file, a preset or TOML text:
 
 >>> import cophase
->>> estimate = cophase.Estimator(cophase.preset("keck-artificial")).estimate(frames)    # (images, rows, cols)
+>>> estimate = cophase.Estimator("keck-artificial").estimate(frames)                    # (images, rows, cols)
 >>> print(estimate.report())
 >>> estimate.phasing_nm, estimate.ncpa_nm, estimate.info.phasing_sigma_nm
 
 Images as a camera delivers them, with a deadline:
 
->>> model = cophase.Model(cophase.preset("keck-artificial"))
+>>> model = cophase.Model("scene.toml")
 >>> session = cophase.Session(model)
 >>> fit = session.fit(frame, deadline_s=0.5)                                            # (rows, cols), or a stack
 >>> segments_nm, ncpa_nm = model.wavefront_nm(fit.coefficients_nm)
 
 Simulated exposures behind adaptive optics:
 
->>> simulator = cophase.Simulator(cophase.preset("keck-onsky"))
+>>> simulator = cophase.Simulator("keck-onsky")
 >>> simulator.step(100)
 >>> simulator.info.residual_rms_nm, simulator.image_e.shape
 """

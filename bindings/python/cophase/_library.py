@@ -14,7 +14,7 @@ from typing import Any
 
 import cffi
 
-from .errors import Error
+from .errors import BadFileError, Error
 
 _HERE = Path(__file__).resolve().parent
 _ROOT = _HERE.parents[2]
@@ -107,17 +107,48 @@ def preset(name: str) -> str:
     return words(result("const char *", lib.cophase_scene_preset, text("name", name)))
 
 
-def scene_set(scene_text: str, **settings: Any) -> str:
-    """The scene with other values, its comments kept: ``scene_set(preset("keck-artificial"), image__peak_snr=50)``.
+def read_scene(
+    scene: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None
+) -> tuple[str, str | os.PathLike[str] | None]:
+    """Text of the scene that a caller means, and the directory of the files that it names.
 
-    The name of a setting is section and key with two underscores between. A value is a number, a bool, a list, a text
-    (words and file names need no quotes), or ``None`` for the key's default.
+    ``scene`` is a file, a preset where there is no file of its name, as for the program's ``--scene``, or the text
+    itself. A ``str`` with a line break or an equals sign is a text, because every scene has one; a file with such a name
+    is given as a path.
     """
+    name = text("scene", scene).decode()
+    if isinstance(scene, str) and ("\n" in name or "=" in name or not name.strip()):
+        return name, directory
+    if os.path.exists(name):
+        try:
+            with open(name, encoding="utf-8") as file:
+                # Line by line: a large file that is no text is refused at its beginning.
+                found = "".join(file)
+        except OSError as error:
+            raise BadFileError(f"{name}: {error.strerror}, where the file of a scene is needed") from None
+        except UnicodeDecodeError:
+            raise BadFileError(f"{name}: is not a text in UTF-8, where the file of a scene is needed") from None
+        return found, os.path.dirname(name) if directory is None else directory
+    if not isinstance(scene, str) or "." in name or os.sep in name:
+        accepted = "a file, the name of a preset such as keck-artificial, or the text of a scene is accepted"
+        raise BadFileError(f"{name}: there is no such file of a scene: {accepted}")
+    return preset(name), directory
+
+
+def scene_set(scene: str | os.PathLike[str], **settings: Any) -> str:
+    """Text of the scene with other values, its comments kept: ``scene_set("keck-artificial", image__peak_snr=50)``.
+
+    ``scene`` is the name of a preset, a file, or a text. The name of a setting is section and key with two underscores
+    between. A value is a number, a bool, a list, a text (words and file names need no quotes), or ``None`` for the
+    key's default. They take effect one after the other, each in a valid scene. Names of files in the scene stay as they
+    are: where they are relative to the directory of its file, give that as ``directory`` to what takes the text.
+    """
+    scene_text, _ = read_scene(scene)
     for name, value in settings.items():
         section, _, key = name.partition("__")
         scene_text = library_text(
             lib.cophase_scene_set,
-            text("scene_text", scene_text),
+            text("scene", scene_text),
             text(name, f"{section}.{key}"),
             text(name, _toml(value)),
         )

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._arrays import Inputs, calibration, images, input_view
 from ._handle import Handle
 from ._interrupt import interruptible
-from ._library import absolute, check, constants, ffi, lib, options, path_text, text
+from ._library import absolute, check, constants, ffi, lib, options, path_text, read_scene, text
 from .errors import BadShapeError
 from .estimate import Estimate
 
@@ -80,8 +80,9 @@ class Estimator(Handle):
 
     Parameters
     ----------
-    scene : str
-        Scene as TOML text. With ``estimate.budget_nm`` the model is planned here, which takes some seconds.
+    scene : str or path
+        Scene: a TOML file, the name of a preset (:func:`cophase.preset`), or TOML text. With
+        ``estimate.budget_nm`` the model is planned here, which takes some seconds.
     policy : {"full", "realtime"}
         ``"full"``: modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it, a
         larger model where the scene does not explain the images (``estimate.model``).
@@ -89,7 +90,7 @@ class Estimator(Handle):
     threads : int, optional
         Number of threads; one per processor by default. Results do not depend on it.
     directory : path, optional
-        Directory of the files that the scene names; the working directory by default.
+        Directory of the files that the scene names; that of the scene's file, or else the working directory, by default.
 
     Raises
     ------
@@ -98,7 +99,7 @@ class Estimator(Handle):
 
     Examples
     --------
-    >>> estimator = cophase.Estimator(cophase.preset("keck-artificial"))
+    >>> estimator = cophase.Estimator("scene.toml")
     >>> estimate = estimator.estimate(frames)
     >>> print(estimate.report())
 
@@ -113,7 +114,7 @@ class Estimator(Handle):
 
     def __init__(
         self,
-        scene: str,
+        scene: str | os.PathLike[str],
         policy: str = "full",
         threads: int | None = None,
         directory: str | os.PathLike[str] | None = None,
@@ -122,10 +123,11 @@ class Estimator(Handle):
             raise ValueError(f"policy is {policy!r}: {' or '.join(map(repr, _POLICIES))} is accepted")
         chosen = options("cophase_estimator_options", threads=threads)
         chosen.policy = _POLICIES[policy]
-        inputs = (text("scene", scene), path_text("directory", directory), chosen)
+        scene_text, directory = read_scene(scene, directory)
+        inputs = (text("scene", scene_text), path_text("directory", directory), chosen)
         self._own("cophase_estimator", lib.cophase_estimator_create, *inputs)
         self._policy = policy
-        self._recipe = (type(self), (scene, policy, threads, absolute(directory)))
+        self._recipe = (type(self), (scene_text, policy, threads, absolute(directory)))
 
     def _summary(self) -> str:
         return f"policy {self._policy}, {self.progress.stage}"

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._arrays import calibration, doubles, images, input_view, numbers, structs
 from ._handle import Handle
 from ._interrupt import interruptible
-from ._library import check, ffi, lib, library_text, named, options, path_text, result, text
+from ._library import check, ffi, lib, library_text, named, options, path_text, read_scene, result, text
 from .model import Model
 from .session import _PRECISIONS, _SHORT_S
 
@@ -65,12 +65,12 @@ class JointSession(Handle):
 
     Parameters
     ----------
-    scene : str
-        Scene with channels as TOML text, such as ``cophase.preset("keck-pair")``.
+    scene : str or path
+        Scene with channels: a TOML file, the name of a preset such as ``"keck-pair"``, or TOML text.
     device, precision, threads, max_evaluations, step_tolerance_nm : optional
         As for :class:`cophase.Session`.
     directory : path, optional
-        Directory of the files that the scene names; the working directory by default.
+        Directory of the files that the scene names; that of the scene's file, or else the working directory, by default.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class JointSession(Handle):
 
     def __init__(
         self,
-        scene: str,
+        scene: str | os.PathLike[str],
         device: str | None = None,
         precision: str | None = None,
         threads: int = 1,
@@ -110,7 +110,8 @@ class JointSession(Handle):
             max_evaluations=max_evaluations,
             step_tolerance_nm=step_tolerance_nm,
         )
-        inputs = (text("scene", scene), path_text("directory", directory), chosen)
+        scene_text, directory = read_scene(scene, directory)
+        inputs = (text("scene", scene_text), path_text("directory", directory), chosen)
         self._own("cophase_joint_session", lib.cophase_joint_session_create, *inputs)
         count: int = result("size_t", lib.cophase_joint_session_channels, self._handle)
         self.channels = [self._text("CHANNEL_NAME", channel) for channel in range(count)]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Inputs, doubles, numbers, output
 from ._handle import Handle
-from ._library import absolute, ffi, lib, path_text, result, struct, text, words
+from ._library import absolute, ffi, lib, path_text, read_scene, result, struct, text, words
 
 
 class Model(Handle):
@@ -21,10 +21,11 @@ class Model(Handle):
 
     Parameters
     ----------
-    scene : str
-        Scene as TOML text. :func:`cophase.preset` has two, ``cophase scene --reference`` lists the keys.
+    scene : str or path
+        Scene: a TOML file, the name of a preset (:func:`cophase.preset`), or TOML text.
+        ``cophase scene --reference`` lists the keys.
     directory : path, optional
-        Directory of the files that the scene names; the working directory by default.
+        Directory of the files that the scene names; that of the scene's file, or else the working directory, by default.
 
     Attributes
     ----------
@@ -52,14 +53,15 @@ class Model(Handle):
 
     _instead = "send the arrays, or the scene of the session, and build it there"
 
-    def __init__(self, scene: str, directory: str | os.PathLike[str] | None = None) -> None:
-        self._create(scene, directory)
-        self._recipe = (type(self), (scene, absolute(directory)))
+    def __init__(self, scene: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None) -> None:
+        scene_text, directory = read_scene(scene, directory)
+        self._create(scene_text, directory)
+        self._recipe = (type(self), (scene_text, absolute(directory)))
 
     @classmethod
     def from_arrays(
         cls,
-        scene: str,
+        scene: str | os.PathLike[str],
         *,
         pupil: ArrayLike,
         segments: ArrayLike | None = None,
@@ -95,12 +97,12 @@ class Model(Handle):
         """
         given = {"pupil": pupil, "segments": segments, "modes": modes, "diversity_nm": diversity_nm}
         self = cls.__new__(cls)
-        self._create(scene, directory, Inputs("cophase_model_arrays", given))
+        self._create(*read_scene(scene, directory), Inputs("cophase_model_arrays", given))
         return self
 
-    def _create(self, scene: str, directory: str | os.PathLike[str] | None, arrays: Inputs | None = None) -> None:
+    def _create(self, scene_text: str, directory: str | os.PathLike[str] | None, arrays: Inputs | None = None) -> None:
         pointer = ffi.NULL if arrays is None else arrays.pointer
-        inputs = (text("scene", scene), path_text("directory", directory), pointer)
+        inputs = (text("scene", scene_text), path_text("directory", directory), pointer)
         self._read(lib.cophase_model_create, *inputs)
 
     @classmethod

@@ -6,7 +6,7 @@ import os
 import threading
 from dataclasses import dataclass, fields
 
-from ._library import absolute
+from ._library import absolute, read_scene
 from .model import Model
 from .session import Session
 
@@ -24,11 +24,11 @@ class SessionFactory:
 
     Parameters
     ----------
-    scene : str
-        Scene as TOML text.
+    scene : str or path
+        Scene: a TOML file, the name of a preset (:func:`cophase.preset`), or TOML text. The factory holds its text.
     directory : path, optional
-        Directory of the files that the scene names; the working directory of the process that makes the factory by
-        default.
+        Directory of the files that the scene names; that of the scene's file, or else the working directory of the
+        process that makes the factory, by default.
     device, capacity, precision, threads, max_evaluations, step_tolerance_nm : optional
         As for :class:`cophase.Session`.
 
@@ -41,7 +41,7 @@ class SessionFactory:
     ...     found_nm = list(pool.map(coefficients_nm, frames))
     """
 
-    scene: str
+    scene: str | os.PathLike[str]
     directory: str | os.PathLike[str] | None = None
     device: str | None = None
     capacity: int = 1
@@ -51,12 +51,14 @@ class SessionFactory:
     step_tolerance_nm: float | None = None
 
     def __post_init__(self) -> None:
+        scene_text, directory = read_scene(self.scene, self.directory)
+        object.__setattr__(self, "scene", scene_text)
         # Another process has another working directory.
-        object.__setattr__(self, "directory", absolute(self.directory))
+        object.__setattr__(self, "directory", absolute(directory))
 
     def model(self) -> Model:
         """The model of this process."""
-        key = (self.scene, str(self.directory))
+        key = (str(self.scene), str(self.directory))
         with _lock:
             if key not in _models:
                 _models[key] = Model(self.scene, self.directory)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ._arrays import output
 from ._handle import Handle
-from ._library import check, lib, path_text, struct, text
+from ._library import check, lib, path_text, read_scene, struct, text
 
 #: Frames between two checks of Ctrl-C: some tens of milliseconds.
 _FRAMES_AT_ONCE = 256
@@ -24,14 +24,16 @@ class Simulator(Handle):
 
     Parameters
     ----------
-    scene : str
-        Scene as TOML text. Building the system takes about a second at the size of Keck.
+    scene : str or path
+        Scene: a TOML file, the name of a preset (:func:`cophase.preset`), or TOML text. Building the
+        system takes about a second at the size of Keck.
     directory : path, optional
-        Directory of the files that the scene names; the working directory by default.
+        Directory of the files that the scene names; that of the scene's file, or else the working directory, by default.
     """
 
-    def __init__(self, scene: str, directory: str | os.PathLike[str] | None = None) -> None:
-        inputs = (text("scene", scene), path_text("directory", directory))
+    def __init__(self, scene: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None) -> None:
+        scene_text, directory = read_scene(scene, directory)
+        inputs = (text("scene", scene_text), path_text("directory", directory))
         self._own("cophase_simulator", lib.cophase_simulator_create, *inputs)
 
     def _summary(self) -> str:

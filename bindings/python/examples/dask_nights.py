@@ -58,7 +58,7 @@ def main(scene_file, folder, table, workers=2):
     files = (path for path in folder.iterdir() if path.suffix in (".npy", ".fits"))
     nights = sorted(path for path in files if not path.name.endswith(".estimate.fits"))
     # A scene that is wrong ends here, and not on a worker.
-    estimator = cophase.Estimator(scene_file.read_text(), threads=1, directory=scene_file.parent)
+    estimator = cophase.Estimator(scene_file, threads=1)
     # One thread to a worker: an estimator runs one call at a time.
     with LocalCluster(n_workers=int(workers), threads_per_worker=1, dashboard_address=None) as cluster:
         with Client(cluster) as client:

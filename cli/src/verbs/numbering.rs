@@ -56,6 +56,14 @@ pub fn picture(scene: &Scene, terminal: &Terminal) -> Result<NumberingPicture> {
     })
 }
 
+/// What `picture` shows, in a line.
+pub fn summary(picture: &NumberingPicture) -> String {
+    let lattices = [&picture.actuators, &picture.subapertures].into_iter().flatten();
+    let drawn: Vec<&str> =
+        std::iter::once(picture.segments.as_str()).chain(lattices.map(|lattice| lattice.name.as_str())).collect();
+    drawn.join("; ")
+}
+
 fn is_from_file(scene: &Scene) -> bool {
     matches!(scene.pupil.aperture, Aperture::File(_))
 }

@@ -22,7 +22,7 @@ The picture shows the pupil as the maps of an estimate do: x to the right, y up,
 table SEGMENTS, of modes such as segment-07-piston and of 'check-orientation --segment'; actuators and subapertures are \
 those of the AO loop.";
 
-/// Print a documented scene or draw its numbering, or list the scenes that come with the program
+/// Print a documented scene or draw its numbering instead, or list the scenes that come with the program
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -35,7 +35,7 @@ pub struct Arguments {
     /// comments
     #[arg(long, value_name = "FRAME", conflicts_with_all = ["name", "reference"])]
     from: Option<PathBuf>,
-    /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or .svg)
+    /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or .svg), in place of the text
     #[arg(long, value_name = "FILE", requires = "name")]
     plot: Option<PathBuf>,
     #[command(flatten)]
@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if arguments.reference { terminal.print(&scene::reference()) } else { terminal.print(&listing()?) }
 }
 
-/// Prints the scene `name` after it was drawn, if that is asked for.
+/// Prints the scene `name`, or draws it where a picture is asked for.
 fn print_scene(name: &Path, arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let output = arguments.plot.as_deref().map(|plot| ("--plot", plot));
     outputs::check(output.as_slice(), &[("the scene", name)])?;
@@ -69,6 +69,7 @@ fn print_scene(name: &Path, arguments: &Arguments, terminal: &Terminal) -> Resul
         interrupt.check("nothing was written")?;
         picture.draw(output.1)?;
         drop(wait);
+        return terminal.show(&format!("{}: {}\n", output.1.display(), numbering::summary(&picture)));
     }
     terminal.print(scene.text())
 }

@@ -90,6 +90,20 @@ fn scenes_that_cannot_be() {
     let arguments: Vec<&str> = ["image", "scene.toml", "-o", "new.fits"].into_iter().chain(settings).collect();
     desk.refuses(&[&arguments[..], &["--set", "pupil.grid_m=5"]].concat(), &["missing-pupil.fits"]);
     desk.refuses(&["image", "scene.toml", "-o", "new.fits", "--set", "image.pixel=32"], &["did you mean 'pixels'?"]);
+    // A signal-to-noise ratio without noise is that of no flux.
+    for verb in ["image", "simulate"] {
+        let dark = [
+            verb,
+            "keck-onsky",
+            "-o",
+            "new.fits",
+            "--set",
+            "image.photon_noise=false",
+            "--set",
+            "image.read_noise_e=0",
+        ];
+        desk.refuses(&dark, &["image.peak_snr = 500 gives no flux", "image.flux_e"]);
+    }
 }
 
 #[test]
@@ -120,7 +134,11 @@ fn images_without_a_scene_and_estimates_without_a_truth() {
     desk.refuses(&["compare", "est.fits", "--truth", "bare.fits"], &["bare.fits", "TRUTH_PHASING"]);
     desk.refuses(&["compare", "images.fits"], &["images.fits", "PHASING"]);
     // An estimate has a table IMAGES, and is not an image for it.
-    desk.refuses(&["estimate", "est.fits", "-o", "again.fits"], &["est.fits", "IMAGES"]);
+    for verb in ["estimate", "check"] {
+        let output = if verb == "estimate" { &["-o", "again.fits"][..] } else { &[] };
+        let words = ["est.fits", "is the result of an estimate and holds no images"];
+        desk.refuses(&[&[verb, "est.fits"], output].concat(), &words);
+    }
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn the_picture_shows_the_image_of_each_channel() {
 fn channels_that_do_not_belong_to_the_scene_are_refused() {
     let desk = desk();
     let estimate = |more: &[&'static str]| [&["estimate", "-o", "est.fits", "--scene", "scene.toml"], more].concat();
-    desk.refuses(&estimate(&["pair.fits[IMAGES]"]), &["images of 1 channels", "plus, minus"]);
+    desk.refuses(&estimate(&["pair.fits[IMAGES]"]), &["images of 1 channel,", "plus, minus"]);
     let both = ["--channel", "plus=pair.fits[1]", "--channel", "blue=pair.fits[2]"];
     desk.refuses(&estimate(&both), &["no images of the channel 'minus'", "those of plus, blue"]);
     let usage = desk.run(&["estimate", "--channel", "plus", "-o", "est.fits"]);

@@ -300,6 +300,13 @@ fn a_first_scene_is_made_of_a_header() {
     // Nothing is known of a bare file, and a scene all the same.
     let bare = desk.succeeds(&["scene", "--from", "images.fits"]).out;
     assert!(bare.contains("TELESCOP = '' is not known"), "{bare}");
+    for section in bare.split("\n[").skip(1) {
+        assert!(section.contains("TO BE FILLED IN"), "{section}");
+    }
+    let cards = [("ITIME", Card::Real(2.0)), ("COADDS", Card::Integer(1))];
+    write(&desk, "n2.fits", &star(&image, (100, 100), &mut Noise(6)), &cards);
+    let one = desk.succeeds(&["scene", "--from", "n2.fits"]).out;
+    assert!(one.contains("# 1 coadd of 2 s\n"), "{one}");
     desk.refuses(&["scene", "--from", "scene.toml"], &["scene.toml"]);
 }
 

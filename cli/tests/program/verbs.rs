@@ -282,11 +282,12 @@ fn presets_are_printed_listed_and_usable_by_name() {
 }
 
 #[test]
-fn the_numbering_of_a_scene_is_drawn_beside_its_text() {
+fn the_numbering_of_a_scene_is_drawn_in_place_of_its_text() {
     let desk = Desk::with_scene();
-    let printed = desk.succeeds(&["scene", "scene.toml"]).out;
-    assert_eq!(printed, SMALL);
-    assert_eq!(desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png"]).out, printed);
+    assert_eq!(desk.succeeds(&["scene", "scene.toml"]).out, SMALL);
+    let drawn = desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png"]);
+    assert_eq!((drawn.out.as_str(), drawn.err.as_str()), ("pupil.png: 7 segments, 0 to 6\n", ""));
+    assert_eq!(desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png", "--quiet"]).out, "");
     let png = std::fs::read(desk.path("pupil.png")).unwrap();
     assert!(png.starts_with(b"\x89PNG"));
     let side = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());

@@ -132,7 +132,7 @@ fn what_is_no_frame_is_refused_once_with_its_reason() {
         ("empty.fits", "empty"),
         ("half.fits", "byte"),
         ("saturated.fits", "saturated"),
-        ("size.fits", "48x48 pixels: 64x64 is accepted"),
+        ("size.fits", "48x48 pixels where the scene says 64x64"),
         ("text.fits", "FITS"),
     ];
     assert_eq!(found.len(), reasons.len(), "{found:?}");
