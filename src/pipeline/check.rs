@@ -36,6 +36,7 @@ use crate::io::Quantity as Card;
 use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, OpticsMinimum};
 use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
+use finding::with;
 use ndarray::Axis;
 use std::borrow::Cow;
 
@@ -332,8 +333,4 @@ fn chi2_of(fitted: &Fitted) -> f64 {
 /// Pixels that are fitted.
 fn pixels_of(fitted: &Fitted) -> f64 {
     (fitted.fit.0.model().optics.sampling().pixels as f64).powi(2)
-}
-
-fn with(scene: &Scene, settings: &[(String, String)]) -> Result<Scene> {
-    scene.with(&settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect::<Vec<_>>())
 }

@@ -34,6 +34,21 @@ pub(super) struct Calibrated<'a> {
     pub(super) dark_variance: f64,
 }
 
+impl Calibrated<'_> {
+    /// Whether both have one filter.
+    pub(super) fn has_filter_of(&self, other: &Self) -> bool {
+        self.frame.header.filter == other.frame.header.filter
+    }
+
+    /// Whether both have the same sky: one filter and one exposure, and both a dark or none.
+    pub(super) fn is_alike(&self, other: &Self) -> bool {
+        self.has_filter_of(other)
+            && other.frame.header.has_exposure_of(&self.frame.header)
+            && other.frame.coadds() == self.frame.coadds()
+            && other.dark.is_some() == self.dark.is_some()
+    }
+}
+
 /// Masters and masks of a detector.
 pub(super) struct Calibration<'a> {
     options: &'a ReductionOptions,

@@ -4,7 +4,7 @@ use super::calibration::Calibrated;
 use super::cut_out::CutOut;
 use super::log::LogRow;
 use super::noise::scatter;
-use super::{rejection, sky, star};
+use super::{rejection, star};
 use crate::scene::Scene;
 use crate::statistics::median;
 use ndarray::Array2;
@@ -66,7 +66,7 @@ fn find<'a>(frame: &'a Calibrated<'a>, shape: (usize, usize), row: &mut LogRow) 
 
 /// Why a frame is not like `all` those of its filter and exposure, itself included: no card names every dark and flat.
 fn unlike_others(one: &Found, all: &[Found]) -> Option<String> {
-    let alike: Vec<&Found> = all.iter().filter(|other| sky::is_alike(one.frame, other.frame)).collect();
+    let alike: Vec<&Found> = all.iter().filter(|other| one.frame.is_alike(other.frame)).collect();
     let backgrounds = alike.iter().map(|other| (other.background_e, other.scatter_e)).collect();
     let faint = || rejection::faint(one.light_e, alike.iter().map(|other| other.light_e).collect());
     rejection::other_background(one.background_e, backgrounds).or_else(faint)

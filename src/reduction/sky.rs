@@ -31,14 +31,10 @@ fn scale(frame: &Calibrated, other: &Calibrated) -> Option<f64> {
     has_darks.then_some(coadds * own / its)
 }
 
-fn same_filter(frame: &Calibrated, other: &Calibrated) -> bool {
-    frame.frame.header.filter == other.frame.header.filter
-}
-
 /// The sky of `frame` in `part`, as the median of `skies`; `None` where none of them fits its filter and exposure.
 pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrated]) -> Option<Sky> {
     let fitting: Vec<(&Calibrated, f64)> =
-        skies.iter().filter(|sky| same_filter(frame, sky)).filter_map(|sky| Some((sky, scale(frame, sky)?))).collect();
+        skies.iter().filter(|sky| frame.has_filter_of(sky)).filter_map(|sky| Some((sky, scale(frame, sky)?))).collect();
     let (first, scale) = *fitting.first()?;
     // Frames of one exposure: that of the first.
     let same: Vec<Array2<f64>> = fitting
@@ -51,19 +47,11 @@ pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrate
     sky(frame, first, median_of(&same), scale, median_variance(same.len()))
 }
 
-/// Whether two frames have the same sky: one filter and one exposure, and both a dark or none.
-pub(super) fn is_alike(frame: &Calibrated, other: &Calibrated) -> bool {
-    same_filter(frame, other)
-        && other.frame.header.has_exposure_of(&frame.frame.header)
-        && other.frame.coadds() == frame.frame.coadds()
-        && other.dark.is_some() == frame.dark.is_some()
-}
-
 /// The sky in the cut-out of `one`, as the median of the other frames of `all` where their stars are not; `None` where they overlap.
 pub(super) fn of_dithers(one: &Found, all: &[Found]) -> Option<Sky> {
     let (frame, part) = (one.frame, one.part);
     let others: Vec<&Found> =
-        all.iter().filter(|other| !std::ptr::eq(other.frame, frame) && is_alike(frame, other.frame)).collect();
+        all.iter().filter(|other| !std::ptr::eq(other.frame, frame) && frame.is_alike(other.frame)).collect();
     let first = others.first()?.frame;
     let (half_height, half_width) = (part.rows as f64 / 2.0, part.columns as f64 / 2.0);
     let free: Vec<Array2<f64>> = others

@@ -1,7 +1,5 @@
 //! Keys that are forms of one quantity, of which a scene names one.
 
-use super::Scene;
-
 /// The sampling, as everything reads it, and its other forms.
 pub(super) const SAMPLING: [&str; 4] = ["samples_per_lambda_over_d", "pixel_mas", "pixel_arcsec", "pixel_pitch_um"];
 /// The defocus, as everything reads it, and its other forms.
@@ -25,59 +23,5 @@ pub(super) fn other_forms(section: &str, key: &str) -> Vec<&'static str> {
             groups.flatten().filter(|other| *other != key).collect()
         }
         _ => Vec::new(),
-    }
-}
-
-impl Scene {
-    /// The key by which this scene names the quantity of `key`, and `value` in its unit: a sampling of 2 is `image.pixel_mas = 9.95` for a scene that
-    /// names a pixel in milliarcseconds. All other keys, and a quantity that the scene does not name, are themselves. A pixel is inversely proportional to
-    /// the sampling, a defocus proportional to that in waves; a defocus of 0 has no ratio.
-    pub(crate) fn own_form(&self, key: &str, value: f64) -> (String, f64) {
-        let image = &self.image;
-        let forms = [
-            (SAMPLING, [image.pixel_mas, image.pixel_arcsec, image.pixel_pitch_um]),
-            (FOCUS, [image.diversity_focus_waves_pv, image.diversity_focus_nm_rms, image.diversity_stage_mm]),
-        ];
-        for ([own, others @ ..], values) in forms {
-            let named = others.into_iter().zip(values).find_map(|(name, value)| Some((name, value?)));
-            let (Some((name, now)), true) = (named, key.strip_prefix("image.") == Some(own)) else { continue };
-            let converted = if own == SAMPLING[0] {
-                now * image.samples_per_lambda_over_d / value
-            } else {
-                now * value / image.diversity_focus_waves_rms
-            };
-            if converted.is_finite() {
-                return (format!("image.{name}"), converted);
-            }
-        }
-        (key.to_string(), value)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_value_takes_the_form_of_the_scene() {
-        let scene = |keys: &[(&str, &str)]| Scene::preset("keck-artificial").unwrap().with(keys).unwrap();
-        let plain = scene(&[]);
-        for key in ["image.samples_per_lambda_over_d", "image.diversity_focus_waves_rms", "pupil.rotation_deg"] {
-            assert_eq!(plain.own_form(key, 1.25), (key.to_string(), 1.25));
-        }
-        // The scene that has the converted value has the value of the key that everything reads.
-        for (key, now, read, value) in [
-            ("image.pixel_mas", "10", "image.samples_per_lambda_over_d", 2.5),
-            ("image.pixel_arcsec", "0.01", "image.samples_per_lambda_over_d", 2.5),
-            ("image.diversity_focus_nm_rms", "-2000", "image.diversity_focus_waves_rms", 0.75),
-            ("image.diversity_focus_waves_pv", "5", "image.diversity_focus_waves_rms", -1.5),
-        ] {
-            let own = scene(&[(key, now)]);
-            let (name, converted) = own.own_form(read, value);
-            assert_eq!(name, key);
-            let image = own.with(&[(&name, &converted.to_string())]).unwrap().image.clone();
-            let found = [image.samples_per_lambda_over_d, image.diversity_focus_waves_rms];
-            assert!(found.iter().any(|found| (found / value - 1.0).abs() < 1e-12), "{key}: {found:?}");
-        }
     }
 }

@@ -23,6 +23,7 @@ mod file;
 mod fit;
 mod forms;
 mod lists;
+mod own_form;
 mod pupil;
 mod purpose;
 mod reference;
@@ -176,9 +177,6 @@ const PRESETS: [(&str, &str); 13] = [
     ("elt-onsky", include_str!("presets/elt-onsky.toml")),
 ];
 
-/// Keys with a new name: section, old name, new name.
-const RENAMED: [(&str, &str, &str); 1] = [("estimate", "knows", "ao_knowledge")];
-
 /// Names of the presets, in the order of [`PRESETS`].
 const PRESET_NAMES: [&str; PRESETS.len()] = {
     let mut names = [""; PRESETS.len()];
@@ -315,7 +313,7 @@ impl Scene {
             let message = error.message().lines().collect::<Vec<_>>().join("; ");
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))
         })?;
-        unknown::refuse(source, document.as_table())?;
+        unknown::refuse(source, document.as_table(), &directory_of_keys())?;
         let channels = Self::parse_channels(source, &document, directory)?;
         // A scene with channels has the sections of its first one.
         let sections = match channels.first() {

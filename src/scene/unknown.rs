@@ -1,20 +1,22 @@
 //! Sections and keys that no scene has, with what was probably meant.
 
+use super::channel;
 use super::section_keys::SectionKeys;
 use super::table::{Reader, Source, nearest, shown, suggestion};
-use super::{RENAMED, channel, directory_of_keys};
 use crate::{Error, Result};
 
-/// Refuses unknown sections and keys, with a suggestion.
-pub(super) fn refuse(source: Source, document: &toml_edit::Table) -> Result<()> {
-    let sections = directory_of_keys();
+/// Keys with a new name: section, old name, new name.
+const RENAMED: [(&str, &str, &str); 1] = [("estimate", "knows", "ao_knowledge")];
+
+/// Refuses sections and keys that are not among `sections`, with a suggestion.
+pub(super) fn refuse(source: Source, document: &toml_edit::Table, sections: &[SectionKeys]) -> Result<()> {
     for (name, item) in document.iter() {
         let reader = |section| Reader { source, section, item: Some(item) };
         let Some(section) = sections.iter().find(|section| section.name == name) else {
             return Err(Error::Scene(format!(
                 "{}: {}",
                 place(source, document, name),
-                unknown_section(&sections, name)
+                unknown_section(sections, name)
             )));
         };
         let Some(table) = item.as_table_like() else {
@@ -24,7 +26,7 @@ pub(super) fn refuse(source: Source, document: &toml_edit::Table) -> Result<()> 
         let is_list = |key: &str| name == "image" && key == channel::LIST;
         let is_known = |key: &str| is_list(key) || section.keys.iter().any(|known| known.name == key);
         if let Some((key, _)) = table.iter().find(|(key, _)| !is_known(key)) {
-            return Err(reader(section.name).error(key, unknown_key(&sections, section, key)));
+            return Err(reader(section.name).error(key, unknown_key(sections, section, key)));
         }
     }
     Ok(())

@@ -1,6 +1,5 @@
 //! Finding: one quantity of scene and images that a check looked at.
 
-use super::with;
 use crate::Result;
 use crate::scene::Scene;
 
@@ -197,4 +196,12 @@ impl Finding {
 /// A number with seven significant digits.
 fn rounded(value: f64) -> String {
     format!("{value:.6e}").parse().map_or_else(|_| value.to_string(), |rounded: f64| rounded.to_string())
+}
+
+/// The scene with these settings.
+///
+/// # Errors
+/// [`Error::Scene`](crate::Error::Scene) for settings that it does not accept.
+pub(super) fn with(scene: &Scene, settings: &[(String, String)]) -> Result<Scene> {
+    scene.with(&settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect::<Vec<_>>())
 }

@@ -1,8 +1,8 @@
 //! Orientation of the images and sign of the defocus: what the pupil's shape shows, and what a poke does.
 
-use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
+use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
 use super::turns::{self, Turn};
-use super::{Work, chi2_of, pixels_of, with};
+use super::{Work, chi2_of, pixels_of};
 use crate::Result;
 use crate::modal::BasisCache;
 use crate::pipeline::images::Images;
