@@ -24,7 +24,11 @@ impl Work<'_> {
         };
         let own_chi2 = chi2_of(fitted);
         let undecided = || fault(0.0, format!("{}: the images agree with both", one.sentence));
-        let Ok(other) = scene.with(&[(&one.key, &one.file_value)]) else { return undecided() };
+        let other = match scene.with(&[(&one.key, &one.file_value)]) {
+            Ok(other) => other,
+            // A value that fits only together with others of the file.
+            Err(error) => return Finding::open(CheckedQuantity::Header, format!("{}; {error}", one.sentence)),
+        };
         let file_chi2 = match self.fit(&other, &cache.for_scene(scene, &other)) {
             Ok(again) => chi2_of(&again),
             // Images that the scene explains, and that a value of the file makes unusable.
