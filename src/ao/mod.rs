@@ -46,6 +46,7 @@ pub use correction::Frame;
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};
+pub(crate) use parts::actuators;
 pub use parts::{actuators_in_use, sensor_pupil};
 pub use profile::{Profile, Stage};
 pub use recorder::{Progress, Recorder, Shot, Summary};

@@ -57,7 +57,7 @@ pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<Influenc
 /// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
 /// sensor measures an actuator farther out only at the edge of a subaperture, and the noise of its command would be a
 /// hundred times that of the others.
-pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets, telescope: &Telescope) -> Result<InfluenceFunctions> {
+pub(crate) fn actuators(scene: &Scene, lenslets: &Lenslets, telescope: &Telescope) -> Result<InfluenceFunctions> {
     let chosen = match Telescope::mapped_actuators(scene)? {
         Some(mapped) => mapped,
         None => at_subapertures(scene, lenslets)?,

@@ -5,9 +5,9 @@
 //! Turbulence is the same over the pupil, so the means of all slopes are shrunk towards their common one by as much as scatter explains
 //! their differences (James & Stein 1961).
 //!
-//! A loop follows the gains as they change, with the turbulence that crosses a subaperture, and is then further from flat than about their mean. With the interaction
-//! matrix D, its inverse M, the gains (1 + ε)·ḡ on the diagonal of ḡ(1 + E) and reference slopes r, it is at rest where M·ḡ(1 + E)·D·c = M·r, so that to second order
-//! in the scatter σ of ε, which is independent from slope to slope,
+//! A loop is faster than turbulence crosses a subaperture, and follows the gains as they change. With the interaction matrix D, the reconstructor M (M·D = 1), the
+//! diagonal matrix of the gains ḡ(1 + E) and reference slopes r its commands c are at rest where M·ḡ(1 + E)·D·c = M·r. To second order in the relative scatter σ of the
+//! gains, which is independent from slope to slope, their mean is
 //!
 //! ```text
 //! ⟨c⟩ = (1 + M⟨E·DM·E⟩D)·M·r/ḡ = (1 + p·σ²)·M·r/ḡ,

@@ -9,7 +9,7 @@ use super::mirror_fit::MirrorFit;
 use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::{SlopeRegression, slope_gain};
-use crate::ao::{Footprint, Lenslets, Sensor, actuators_in_use, sensor_pupil};
+use crate::ao::{Footprint, Lenslets, Sensor, actuators, sensor_pupil};
 use crate::machine;
 use crate::modes::{InfluenceFunctions, Samples, SmoothBasis};
 use crate::pupil::Grid;
@@ -97,7 +97,7 @@ impl SensorModel {
             modes: basis.evaluate(&fine.xs_m, &fine.ys_m)?,
             samples: fine,
             grid: pupil.grid,
-            mirror: scene.has_mirror().then(|| actuators_in_use(scene, telescope)).transpose()?,
+            mirror: scene.has_mirror().then(|| actuators(scene, sensor.lenslets(), telescope)).transpose()?,
             map_nm: footprint.zeros().to_vec(),
             slopes_mas: vec![0.0; sensor.slopes()],
             response: None,
@@ -224,8 +224,7 @@ impl SensorModel {
     /// leaves it. Steps between segments reduce it further, but they are corrected with the NCPA.
     ///
     /// The loop is to make the shape that is nearest to a mode over the pupil, so the response is that of this shape. About the slopes of the mode itself it
-    /// would make the shape whose slopes are nearest: what the mirror leaves has slopes, too, which it would answer with other shapes (of 72 nm of NCPA on
-    /// Keck 4.1 nm are left, with slopes that are averages of gradients, in place of 2.8).
+    /// would make the shape whose slopes are nearest: what the mirror leaves has slopes, too, which it would answer with other shapes.
     fn measure_references(&mut self, response_mas: &Array2<f64>, rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         if !self.sensor.is_local() {
             return Ok(response_mas * self.gain);

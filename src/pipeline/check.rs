@@ -148,9 +148,7 @@ impl Work<'_> {
         findings.extend(shapes::photometry(&scene, &fitted, has_fault_of_focus)?);
         findings.extend(self.header(&scene, &cache.for_scene(given, &scene), &fitted));
         sort(&mut findings);
-        for finding in &mut findings {
-            finding.take_form_of(given)?;
-        }
+        findings.iter_mut().for_each(|finding| finding.take_form_of(given));
         let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
         let mut corrected = None;
         if !settings.is_empty() {

@@ -27,20 +27,23 @@ pub(super) struct Found<'a> {
 pub(super) fn usable<'a>(group: &'a [Calibrated<'a>], scene: &Scene, rows: &mut [LogRow]) -> Vec<Found<'a>> {
     let shape = scene.image.frame_shape();
     let mut found: Vec<Found> = group.iter().filter_map(|frame| find(frame, shape, &mut rows[frame.index])).collect();
-    let unlike: Vec<(usize, String)> =
-        found.iter().filter_map(|one| Some((one.frame.index, unlike_others(one, &found)?))).collect();
-    unlike.into_iter().for_each(|(index, reason)| rows[index].reject(reason));
+    // A flat is brighter than a detector counts, and a star that saturates it no measure of the light of others: in this order.
+    reject(&mut found, rows, |one, alike| {
+        rejection::other_background(
+            one.background_e,
+            alike.map(|other| (other.background_e, other.scatter_e)).collect(),
+        )
+    });
     for one in &found {
         let (frame, row) = (one.frame.frame, &mut rows[one.frame.index]);
         let saturation_adu = scene.image.saturation_adu.or(frame.header.saturation_adu);
         let bad = one.frame.electrons.mapv(|electrons| !electrons.is_finite());
         let (peak_adu, reason) = rejection::saturation(frame, &bad, one.part, saturation_adu);
         row.peak_adu = peak_adu;
-        if let Some(reason) = reason.filter(|_| row.reason.is_empty()) {
-            row.reject(reason);
-        }
+        reason.into_iter().for_each(|reason| row.reject(reason));
     }
     found.retain(|one| rows[one.frame.index].reason.is_empty());
+    reject(&mut found, rows, |one, alike| rejection::faint(one.light_e, alike.map(|other| other.light_e).collect()));
     let left: Vec<usize> = found.iter().map(|one| one.frame.index).collect();
     rejection::reject_trailed(rows, &left);
     found.retain(|one| rows[one.frame.index].reason.is_empty());
@@ -64,12 +67,18 @@ fn find<'a>(frame: &'a Calibrated<'a>, shape: (usize, usize), row: &mut LogRow) 
     Some(Found { frame, star, part, background_e, scatter_e, light_e: spot.light_e })
 }
 
-/// Why a frame is not like `all` those of its filter and exposure, itself included: no card names every dark and flat.
-fn unlike_others(one: &Found, all: &[Found]) -> Option<String> {
-    let alike: Vec<&Found> = all.iter().filter(|other| one.frame.is_alike(other.frame)).collect();
-    let backgrounds = alike.iter().map(|other| (other.background_e, other.scatter_e)).collect();
-    let faint = || rejection::faint(one.light_e, alike.iter().map(|other| other.light_e).collect());
-    rejection::other_background(one.background_e, backgrounds).or_else(faint)
+/// Rejects the frames that are not like those of their filter and exposure, themselves included, by `reason`: no card names every dark and flat. Those that the
+/// user names are not doubted.
+fn reject(
+    found: &mut Vec<Found>,
+    rows: &mut [LogRow],
+    reason: impl Fn(&Found, &mut dyn Iterator<Item = &Found>) -> Option<String>,
+) {
+    for one in found.iter().filter(|one| !one.frame.frame.is_listed) {
+        let alike = &mut found.iter().filter(|other| one.frame.is_alike(other.frame));
+        reason(one, alike).into_iter().for_each(|reason| rows[one.frame.index].reject(reason));
+    }
+    found.retain(|one| rows[one.frame.index].reason.is_empty());
 }
 
 /// The good pixels outside of a cut-out; all of them where there are too few for a median.

@@ -46,6 +46,8 @@ pub struct Frame {
     pub class: FrameClass,
     /// What says so.
     pub classified_by: String,
+    /// Whether that is a list of the user, which is not doubted.
+    pub is_listed: bool,
     /// Channel that a rule or the card `CHANNEL` puts it into.
     pub channel: Option<String>,
     /// Counts, or electrons, `[y, x]`.
@@ -68,6 +70,7 @@ impl Frame {
         }
         let images = io::read_images(path, None)?;
         let mut cards = Cards { file: &mut file, hdu: images.hdu_name.clone() };
+        let is_listed = class.is_some();
         let (class, classified_by) = match class {
             Some(class) => (class, String::from("named on the command line")),
             None => cards.class(),
@@ -86,6 +89,7 @@ impl Frame {
             name: if planes == 1 { file_name.clone() } else { format!("{file_name}#{}", plane + 1) },
             class,
             classified_by: classified_by.clone(),
+            is_listed,
             channel: channel.clone(),
             data: data.to_owned(),
             bad: bad.to_owned(),

@@ -211,6 +211,10 @@ fn calibrations_that_no_card_names_change_no_image() {
     for row in alone["frames"].as_array().unwrap() {
         assert!(number(row, "flux_e") > 0.0, "{row}");
     }
+    // A list of the user is not doubted.
+    let listed = reduce(&[&stars[..], &["--stars", "unnamed/a0.fits"]].concat(), "listed.fits");
+    let (_, why) = reason(&listed, "a0.fits");
+    assert!(!why.contains("others of its exposure"), "{why}");
 }
 
 #[test]

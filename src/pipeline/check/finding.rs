@@ -143,10 +143,8 @@ impl Finding {
 
     /// Writes values and settings in the units of the keys that `scene` names: a pixel in milliarcseconds, a defocus in nm. A wavelength is in nm, in place
     /// of the sampling that shows it.
-    ///
-    /// # Errors
-    /// [`Error::Scene`](crate::Error::Scene) for settings that the scene does not accept.
-    pub(super) fn take_form_of(&mut self, scene: &Scene) -> Result<()> {
+    /// Settings that `scene` does not accept without others stay as they are.
+    pub(super) fn take_form_of(&mut self, scene: &Scene) {
         let key = match self.quantity {
             CheckedQuantity::PlateScale | CheckedQuantity::PlateScaleOrWavelength => SAMPLING,
             CheckedQuantity::Defocus => FOCUS,
@@ -170,7 +168,7 @@ impl Finding {
         }
         let others: Vec<_> = self.settings.iter().filter(|(key, _)| key != SAMPLING && key != FOCUS).cloned().collect();
         // A pixel of an angle is another sampling at another wavelength.
-        let scene = with(scene, &others)?;
+        let Ok(scene) = with(scene, &others) else { return };
         let mut settings = Vec::new();
         for (key, value) in self.settings.drain(..) {
             let form = value.parse().ok().map(|number: f64| (number, scene.own_form(&key, number)));
@@ -184,7 +182,6 @@ impl Finding {
             }
         }
         self.settings = settings;
-        Ok(())
     }
 
     /// As [`Finding::new`] for what is not determined.

@@ -23,16 +23,22 @@ impl Work<'_> {
             ..Finding::new(CheckedQuantity::Header, Verdict::Fault, explanation)
         };
         let own_chi2 = chi2_of(fitted);
-        let undecided = || fault(0.0, format!("{}: the images agree with both", one.sentence));
+        let undecided = || fault(0.0, format!("{}; the images do not decide between them", one.sentence));
         let other = match scene.with(&[(&one.key, &one.file_value)]) {
             Ok(other) => other,
             // A value that fits only together with others of the file.
             Err(error) => return Finding::open(CheckedQuantity::Header, format!("{}; {error}", one.sentence)),
         };
+        let agrees = |how: String| {
+            let sentence = format!(
+                "{}; the images agree with the scene: {how} ('cophase estimate' then needs --trust scene)",
+                one.sentence
+            );
+            Finding::new(CheckedQuantity::Header, Verdict::Agrees, sentence)
+        };
         let file_chi2 = match self.fit(&other, &cache.for_scene(scene, &other)) {
             Ok(again) => chi2_of(&again),
-            // Images that the scene explains, and that a value of the file makes unusable.
-            Err(_) if fitted.is_explained() => f64::INFINITY,
+            Err(_) if fitted.is_explained() => return agrees("with the file's value they cannot be fitted".into()),
             Err(_) => return undecided(),
         };
         let pixels = pixels_of(fitted);
@@ -42,11 +48,7 @@ impl Work<'_> {
         if gain > log_pixels {
             fault(gain - log_pixels, format!("{}; the images agree with the file: {chi2s}", one.sentence))
         } else if gain < -log_pixels {
-            let sentence = format!(
-                "{}; the images agree with the scene: {chi2s} ('cophase estimate' then needs --trust scene)",
-                one.sentence
-            );
-            Finding::new(CheckedQuantity::Header, Verdict::Agrees, sentence)
+            agrees(chi2s)
         } else {
             undecided()
         }
