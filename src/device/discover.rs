@@ -115,9 +115,17 @@ fn raw<D: ClDeviceIdPtr>(id: D, what: u32) -> Result<Vec<u8>> {
     core::get_device_info_raw(id, what).map_err(failed)
 }
 
-/// The first line of an error message of `ocl`, as [`Error::Device`].
+/// An error of `ocl` as [`Error::Device`], in one line. Of an OpenCL call these are the function and the status, which `ocl` writes between
+/// banners; of anything else it is the first line with words.
 pub(super) fn failed(error: impl std::fmt::Display) -> Error {
     let text = error.to_string();
-    let line = text.lines().map(str::trim).find(|l| l.chars().any(char::is_alphanumeric)).unwrap_or("no reason given");
-    Error::Device(format!("OpenCL failed: {line}"))
+    let after = |label: &str| text.lines().find_map(|line| line.trim().strip_prefix(label)).map(str::trim);
+    let sentence = match (after("Error executing function:"), after("Status error code:")) {
+        (Some(function), Some(status)) => format!("{status} of {function}"),
+        _ => {
+            let worded = |line: &&str| line.chars().any(char::is_alphanumeric);
+            text.lines().map(str::trim).find(worded).unwrap_or("no reason given").to_string()
+        }
+    };
+    Error::Device(format!("OpenCL failed: {sentence}"))
 }

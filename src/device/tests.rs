@@ -112,7 +112,21 @@ fn an_unknown_name_is_an_error() {
         assert!(device.kernel("no_such_kernel", build).is_err());
         let mut kernel = device.kernel("photometry_solve", build).unwrap();
         assert!(kernel.int("no_such_argument", 1).is_err());
-        assert!(kernel.int("images", usize::MAX).is_err());
+        assert!(kernel.int("partials", usize::MAX).is_err());
+    }
+}
+
+#[test]
+fn a_failed_call_is_named_with_its_status_in_one_line() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        // A part of a buffer that begins between the places where one may.
+        let message = device.buffer::<f32>(4096).unwrap().part(1, 8).err().expect("must be refused").to_string();
+        assert!(
+            message.contains("CL_MISALIGNED_SUB_BUFFER_OFFSET") && message.contains("clCreateSubBuffer"),
+            "{message}"
+        );
+        assert_eq!(message.lines().count(), 1, "{message}");
     }
 }
 

@@ -245,9 +245,6 @@ fn images_of_several_wavelengths_add() {
     let peak = psf.iter().copied().fold(0.0, f64::max);
     // Rounding of sums of a hundred terms.
     assert!(psf.iter().zip(&sum).all(|(a, b)| (a - b).abs() < 1e-13 * peak));
-    // Devices support one wavelength; `auto` selects the CPU for several.
-    let open = |choice| Chain::open(optics.clone(), choice, Precision::F64, 1);
-    assert_eq!(open(Choice::Auto).unwrap().device_name(), "cpu");
     let parts = optics.parts();
     for colours in [vec![], vec![Colour { ratio: 1.0, share: 0.5 }], vec![Colour { ratio: -1.0, share: 1.0 }]] {
         assert!(Optics::new(OpticsParts { colours, ..parts.clone() }).is_err());

@@ -83,9 +83,7 @@ impl Session {
         options: &SessionOptions,
         cancel: CancelFlag,
     ) -> Result<Self> {
-        if options.capacity == 0 {
-            return Err(Error::Value("capacity is 0: 1 image or more is accepted".into()));
-        }
+        options.check()?;
         FrameBuffer::check_capacity(&estimator, options.capacity)?;
         let mut recipe = estimator.recipe.clone();
         if recipe.optimizer == Optimizer::Bfgs {

@@ -4,6 +4,7 @@ use super::super::prepare::Refusal;
 use super::super::status::{ImageReport, Status, unfitted_report};
 use crate::imaging::{Choice, Precision};
 use crate::optimize::StopReason;
+use crate::{Error, Result};
 use ndarray::{ArrayView1, ArrayView2};
 use std::time::Duration;
 
@@ -28,6 +29,27 @@ pub struct SessionOptions {
 impl Default for SessionOptions {
     fn default() -> Self {
         Self { capacity: 1, precision: None, device: None, threads: 1, max_evaluations: None, step_tolerance_nm: None }
+    }
+}
+
+impl SessionOptions {
+    /// Checks what no device accepts.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for the first option out of range.
+    pub(super) fn check(&self) -> Result<()> {
+        if self.capacity == 0 {
+            return Err(Error::Value("capacity is 0: 1 image or more is accepted".into()));
+        }
+        if self.max_evaluations == Some(0) {
+            return Err(Error::Value("max_evaluations is 0: 1 or more is accepted".into()));
+        }
+        match self.step_tolerance_nm.filter(|nm| !(*nm >= 0.0 && nm.is_finite())) {
+            Some(nm) => {
+                Err(Error::Value(format!("step_tolerance_nm is {nm}: a finite number of 0 or more is accepted")))
+            }
+            None => Ok(()),
+        }
     }
 }
 

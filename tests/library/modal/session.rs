@@ -2,7 +2,7 @@
 
 use super::scene;
 use cophase::Error;
-use cophase::imaging::{Chain, Precision};
+use cophase::imaging::{Chain, Choice, Precision};
 use cophase::modal::{Cube, FitOptions, ModalEstimate, ModalFitter, Refusal, Session, SessionOptions, Status};
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
@@ -16,8 +16,9 @@ fn estimator(scene: &Scene) -> Arc<ModalFitter> {
     Arc::new(ModalFitter::new(scene, false).unwrap())
 }
 
+/// A session on the CPU chain, whose bits the tests compare; a GPU has its own, and fits all images of a call together.
 fn session(estimator: &Arc<ModalFitter>, options: SessionOptions) -> Session {
-    Session::new(estimator.clone(), &options).unwrap()
+    Session::new(estimator.clone(), &SessionOptions { device: Some(Choice::Cpu), ..options }).unwrap()
 }
 
 /// Writes images into the frames of a session.
@@ -193,7 +194,7 @@ fn what_cannot_be_is_refused_with_a_sentence() {
     let message = |options| Session::new(estimator.clone(), &options).err().unwrap().to_string();
     assert!(message(SessionOptions { capacity: 0, ..SessionOptions::default() }).contains("capacity is 0"));
     let tolerance = SessionOptions { step_tolerance_nm: Some(-1.0), ..SessionOptions::default() };
-    assert!(message(tolerance).contains("step_tolerance is -1"));
+    assert!(message(tolerance).contains("step_tolerance_nm is -1"));
     let paper = Arc::new(ModalFitter::new(&scene.with(&[("estimate.optimizer", "bfgs")]).unwrap(), false).unwrap());
     let error = Session::new(paper, &SessionOptions::default()).err().unwrap();
     assert!(error.to_string().contains("bfgs"));
