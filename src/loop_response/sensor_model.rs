@@ -20,6 +20,9 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
 use rayon::prelude::*;
 
+#[cfg(test)]
+mod tests;
+
 /// Amplitude with which the response to a mode is measured, ±, nm RMS: small against the sensor's wavelength.
 const POKE_NM: f64 = 10.0;
 
