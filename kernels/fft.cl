@@ -334,7 +334,7 @@ __kernel void focus_fft(__global real *psi, __global const int *place, __global 
         for (int v0 = 0; v0 < FFT_N; v0 += VEC)
             fft_rows(w + v0 * 4 * width, twiddle, h, side_step, f + v0 * FFT_N * 2, d + v0 * FFT_N, v + v0 * FFT_N, width,
                      sum + v0 / VEC * 3);
-        solve(sum, strips, kind[s], known + 4 * s, image_photometry);
+        add_and_solve(sum, strips, kind[s], known + 4 * s, image_photometry);
         for (int v0 = 0; v0 < FFT_N; v0 += VEC)
             objective[image * strips + v0 / VEC] =
                 fft_rows_adjoint(f + v0 * FFT_N * 2, d + v0 * FFT_N, v + v0 * FFT_N, image_photometry, twiddle, h,

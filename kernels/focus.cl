@@ -94,7 +94,7 @@ __kernel void focus(__global real *psi, __global const int *place, __global cons
             forward_strip(w, x_to_u, f, pair, end, rows, width, span);
             if (kind[s] != 0) strip_sums(f, d, v, 2 * pair, 2 * end, 0, 1, span, sum + 3 * strip);
         }
-        solve(sum, strips, kind[s], known + 4 * s, image_photometry);
+        add_and_solve(sum, strips, kind[s], known + 4 * s, image_photometry);
         for (int strip = 0; strip < strips; strip++) {
             const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
             objective[image * strips + strip] = strip_residuals(f, d, v, 2 * pair, 2 * end, 0, 1, span, image_photometry);
@@ -117,7 +117,7 @@ inline void intensity_to_source(__global real *intensity, __global real *convolv
         const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
         intensity_strip_sums(intensity, data, weight, 2 * pair, 2 * end, 0, 1, span, sums + 3 * strip);
     }
-    solve(sums, strips, kind, known, photometry);
+    add_and_solve(sums, strips, kind, known, photometry);
     for (int strip = 0; strip < strips; strip++) {
         const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
         objective[strip] =

@@ -52,29 +52,37 @@ inline void strip_sums(__global const real *focal, __global const real *data, __
     sums[2] = sum_lanes(whd);
 }
 
-/* Flux and background of an image. kind: 0 both known, 1 flux fitted, 2 both fitted; known: flux, background, sum w,
-   sum w d. Where the image does not determine a value (no signal, no good pixel), it is zero. */
-inline void solve(__global const real *sums, const int count, const int kind, __global const real *known,
-                  __global real *photometry) {
+/* Adds the partial sums `i`, `i + step`, ... of `count` to `total`. */
+inline void add_partials(__global const real *sums, int i, const int step, const int count, wide total[3]) {
+    for (; i < count; i += step) {
+        total[0] += sums[3 * i];
+        total[1] += sums[3 * i + 1];
+        total[2] += sums[3 * i + 2];
+    }
+}
+
+/* Flux and background of an image. total: sums of w h, w h^2, w h d. kind: 0 both known, 1 flux fitted, 2 both fitted; known: flux,
+   background, sum w, sum w d. Where the image does not determine a value (no signal, no good pixel), it is zero. */
+inline void solve(const wide total[3], const int kind, __global const real *known, __global real *photometry) {
     wide flux = known[0], background = known[1];
-    if (kind != 0) {
-        wide wh = 0, whh = 0, whd = 0;
-        for (int i = 0; i < count; i++) {
-            wh += sums[3 * i];
-            whh += sums[3 * i + 1];
-            whd += sums[3 * i + 2];
-        }
-        const wide w = known[2], wd = known[3];
-        if (kind == 1) {
-            flux = whh > 0 ? (whd - background * wh) / whh : 0;
-        } else {
-            const wide determinant = w * whh - wh * wh;
-            flux = determinant > 0 ? (w * whd - wh * wd) / determinant : 0;
-            background = w > 0 ? (wd - flux * wh) / w : 0;
-        }
+    const wide wh = total[0], whh = total[1], whd = total[2], w = known[2], wd = known[3];
+    if (kind == 1) {
+        flux = whh > 0 ? (whd - background * wh) / whh : 0;
+    } else if (kind == 2) {
+        const wide determinant = w * whh - wh * wh;
+        flux = determinant > 0 ? (w * whd - wh * wd) / determinant : 0;
+        background = w > 0 ? (wd - flux * wh) / w : 0;
     }
     photometry[0] = flux;
     photometry[1] = background;
+}
+
+/* The same from all partial sums. */
+inline void add_and_solve(__global const real *sums, const int count, const int kind, __global const real *known,
+                          __global real *photometry) {
+    wide total[3] = {0, 0, 0};
+    if (kind != 0) add_partials(sums, 0, 1, count, total);
+    solve(total, kind, known, photometry);
 }
 
 /* Objective over the rows `row` to `end`; the source of the adjoint replaces the focal field. */
@@ -115,14 +123,25 @@ __kernel void photometry_sums(__global const real *focal, __global const real *d
                sums + ((image * get_global_size(1) + strip) * lanes + get_global_id(0)) * 3);
 }
 
-/* sums -> photometry [image][flux, background]: global (images, 1, 1). */
+/* sums -> photometry [image][flux, background]: global (SOLVERS, images, 1), of which a group has all of an image on a GPU, and
+   (1, images, 1) on a CPU. */
+#define SOLVERS 32
 __kernel void photometry_solve(__global const real *sums, __global const int *slot, __global const int *kind,
-                               __global const real *known, __global real *photometry, const int first, const int images,
+                               __global const real *known, __global real *photometry, const int first,
                                const int partials) {
-    const int image = get_global_id(0);
-    if (image >= images) return;
+    __local wide shares[SOLVERS][3];
+    const int image = get_global_id(1), solver = get_local_id(0), solvers = get_local_size(0);
     const int s = slot[first + image];
-    solve(sums + (size_t)image * partials * 3, partials, kind[s], known + 4 * s, photometry + 2 * image);
+    wide total[3] = {0, 0, 0};
+    if (kind[s] != 0) add_partials(sums + (size_t)image * partials * 3, solver, solvers, partials, total);
+    for (int i = 0; i < 3; i++)
+        shares[solver][i] = total[i];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (solver != 0) return;
+    for (int other = 1; other < solvers; other++)
+        for (int i = 0; i < 3; i++)
+            total[i] += shares[other][i];
+    solve(total, kind[s], known + 4 * s, photometry + 2 * image);
 }
 
 /* -> objective [image][strip * lanes + lane], and focal in place: global (lanes, strips, images). */

@@ -12,8 +12,9 @@
  * 8 WIDE multiply-adds. Tables are packed in the order of reading; the slice of a work-item fits the first-level cache.
  *
  *   column table  [group of TALL outputs][input][cos, sin][TALL]
- *   row table     [vector of outputs][...]: chunks of WIDE vectors as [input][cos, sin][WIDE][VEC]; WIDE is 2, and 3 for
- *                 the last chunk of an odd number of vectors (1 where there is only one vector)
+ *   row table     chunks of vectors of outputs as [input][cos, sin][WIDE][VEC]; WIDE is 2, and 3 for the last chunk of an odd
+ *                 number of vectors (1 where there is only one vector). On a GPU [input][cos, sin][output]: a work-item computes
+ *                 WIDE outputs `chunks` apart, so that neighbouring work-items read neighbouring numbers
  *
  * extent[x / VEC] is the number of rows, counted from the axis, beyond which that vector of x has no illuminated sample.
  *
@@ -89,18 +90,48 @@ inline void adjoint_column(__global const real *wave, __global const real *table
     }
 }
 
+/* Number of chunks of outputs in a row of `width` numbers. Output vector b of a chunk: its place in the row, whether it is there, and
+   its cosine and sine at `t`, the part of the table for one input. */
+#if VEC == 1
+#define ROW_WIDE 4
+inline int row_chunks(const int width) { return (width + ROW_WIDE - 1) / ROW_WIDE; }
+#define ROW_PLACE(b) (chunk + (b) * chunks)
+#define ROW_IS_THERE(b) (ROW_PLACE(b) < outputs)
+#define ROW_TABLE table
+#define ROW_STEP(WIDE) (2 * outputs)
+#define ROW_COS(b, WIDE) t[min(ROW_PLACE(b), outputs - 1)]
+#define ROW_SIN(b, WIDE) t[outputs + min(ROW_PLACE(b), outputs - 1)]
+#define ROW_CHUNK(DO) DO(ROW_WIDE)
+#else
+inline int row_chunks(const int width) { return max(1, width / VEC / 2); }
+#define ROW_PLACE(b) ((2 * chunk + (b)) * VEC)
+#define ROW_IS_THERE(b) true
+#define ROW_TABLE (table + (size_t)chunk * inputs * (4 * VEC))
+#define ROW_STEP(WIDE) (2 * WIDE * VEC)
+#define ROW_COS(b, WIDE) GET(t, (b) * VEC)
+#define ROW_SIN(b, WIDE) GET(t, (WIDE + (b)) * VEC)
+/* The last chunk takes what is left. */
+#define ROW_CHUNK(DO)                                                                                                  \
+    {                                                                                                                  \
+        const int count = chunk + 1 < chunks ? 2 : outputs / VEC - 2 * chunk;                                          \
+        if (count == 2) DO(2)                                                                                          \
+        else if (count == 3) DO(3)                                                                                     \
+        else DO(1)                                                                                                     \
+    }
+#endif
+
 /* The four sums of WIDE output vectors for the two rows of a pair, which lie 4 `in_width` apart. */
 #define ROW_PRODUCT(WIDE)                                                                                              \
     vec sum[2][WIDE][4];                                                                                               \
     _Pragma("unroll") for (int row = 0; row < 2; row++)                                                                \
         _Pragma("unroll") for (int b = 0; b < WIDE; b++)                                                               \
             sum[row][b][0] = sum[row][b][1] = sum[row][b][2] = sum[row][b][3] = SPLAT(REAL(0.0));                      \
-    __global const real *t = table + (size_t)start * inputs * (2 * VEC);                                               \
-    for (int k = 0; k < inputs; k++, t += 2 * WIDE * VEC) {                                                            \
+    __global const real *t = ROW_TABLE;                                                                                \
+    for (int k = 0; k < inputs; k++, t += ROW_STEP(WIDE)) {                                                            \
         vec c[WIDE], s[WIDE];                                                                                          \
         _Pragma("unroll") for (int b = 0; b < WIDE; b++) {                                                             \
-            c[b] = GET(t, b * VEC);                                                                                    \
-            s[b] = GET(t, (WIDE + b) * VEC);                                                                           \
+            c[b] = ROW_COS(b, WIDE);                                                                                   \
+            s[b] = ROW_SIN(b, WIDE);                                                                                   \
         }                                                                                                              \
         _Pragma("unroll") for (int row = 0; row < 2; row++) {                                                          \
             __global const real *a = in + row * 4 * in_width + k;                                                      \
@@ -118,58 +149,48 @@ inline void adjoint_column(__global const real *wave, __global const real *table
 #define FORWARD_ROWS(WIDE)                                                                                             \
     {                                                                                                                  \
         ROW_PRODUCT(WIDE)                                                                                              \
-        _Pragma("unroll") for (int row = 0; row < 2; row++)                                                            \
-            _Pragma("unroll") for (int b = 0; b < WIDE; b++)                                                           \
+        _Pragma("unroll") for (int b = 0; b < WIDE; b++) if (ROW_IS_THERE(b))                                          \
+            _Pragma("unroll") for (int row = 0; row < 2; row++)                                                        \
                 _Pragma("unroll") for (int plane = 0; plane < 4; plane++)                                              \
-                    AT(out, (row * 4 + plane) * span + (start + b) * VEC) = sum[row][b][plane];                        \
+                    AT(out, (row * 4 + plane) * outputs + ROW_PLACE(b)) = sum[row][b][plane];                          \
     }
-
-/* Number of chunks of vectors in a row of `width` numbers, and the number of vectors of one chunk. */
-inline int row_chunks(const int width) { return max(1, width / VEC / 2); }
-inline int chunk_vectors(const int chunk, const int width) {
-    return chunk + 1 < row_chunks(width) ? 2 : width / VEC - 2 * chunk;
-}
 
 /* The outputs of one chunk for the row pairs `pair` to `end` of one image. */
 inline void forward_row_chunk(__global const real *wave, __global const real *table, __global real *focal,
                               const int chunk, int pair, const int end, const int inputs, const int in_width,
-                              const int span) {
-    const int start = 2 * chunk, count = chunk_vectors(chunk, span);
+                              const int outputs) {
+    const int chunks = row_chunks(outputs);
     for (; pair < end; pair++) {
         __global const real *in = wave + (size_t)pair * 8 * in_width;
-        __global real *out = focal + (size_t)pair * 8 * span;
-        if (count == 2) FORWARD_ROWS(2)
-        else if (count == 3) FORWARD_ROWS(3)
-        else FORWARD_ROWS(1)
+        __global real *out = focal + (size_t)pair * 8 * outputs;
+        ROW_CHUNK(FORWARD_ROWS)
     }
 }
 
 #define ADJOINT_ROWS(WIDE)                                                                                             \
     {                                                                                                                  \
         ROW_PRODUCT(WIDE)                                                                                              \
-        _Pragma("unroll") for (int b = 0; b < WIDE; b++)                                                               \
+        _Pragma("unroll") for (int b = 0; b < WIDE; b++) if (ROW_IS_THERE(b))                                          \
             _Pragma("unroll") for (int parity = 0; parity < 2; parity++) {                                             \
-                const int x = parity * 4 * width + (start + b) * VEC;                                                  \
+                const int x = parity * 4 * outputs + ROW_PLACE(b);                                                     \
                 vec plus_re = sum[0][b][2 * parity], plus_im = sum[0][b][2 * parity + 1];                              \
                 vec minus_re = sum[1][b][2 * parity], minus_im = sum[1][b][2 * parity + 1];                            \
                 AT(out, x) = plus_re + minus_re;                                                                       \
-                AT(out, x + width) = plus_im + minus_im;                                                               \
-                AT(out, x + 2 * width) = minus_im - plus_im;                                                           \
-                AT(out, x + 3 * width) = plus_re - minus_re;                                                           \
+                AT(out, x + outputs) = plus_im + minus_im;                                                             \
+                AT(out, x + 2 * outputs) = minus_im - plus_im;                                                         \
+                AT(out, x + 3 * outputs) = plus_re - minus_re;                                                         \
             }                                                                                                          \
     }
 
 /* Adjoint of forward_row_chunk: focal holds C' and S' of each row. */
 inline void adjoint_row_chunk(__global const real *focal, __global const real *table, __global real *wave,
                               const int chunk, int pair, const int end, const int inputs, const int in_width,
-                              const int width) {
-    const int start = 2 * chunk, count = chunk_vectors(chunk, width);
+                              const int outputs) {
+    const int chunks = row_chunks(outputs);
     for (; pair < end; pair++) {
         __global const real *in = focal + (size_t)pair * 8 * in_width;
-        __global real *out = wave + (size_t)pair * 8 * width;
-        if (count == 2) ADJOINT_ROWS(2)
-        else if (count == 3) ADJOINT_ROWS(3)
-        else ADJOINT_ROWS(1)
+        __global real *out = wave + (size_t)pair * 8 * outputs;
+        ROW_CHUNK(ADJOINT_ROWS)
     }
 }
 
@@ -183,26 +204,24 @@ __kernel void forward_columns(__global const real *field, __global const real *t
                    get_global_id(0), get_global_id(1), get_global_size(1), rows, pairs, groups, width);
 }
 
-/* wave -> focal: global (chunks, any, images). */
+/* wave -> focal: global (chunks times any, 1, images). */
 __kernel void forward_rows(__global const real *wave, __global const real *table, __global real *focal,
                            const int inputs, const int pairs, const int pairs_per_item, const int in_width,
                            const int span) {
-    if ((int)get_global_id(0) >= row_chunks(span)) return;
+    const int chunks = row_chunks(span), pair = get_global_id(0) / chunks * pairs_per_item;
     const size_t image = get_global_id(2);
-    const int pair = get_global_id(1) * pairs_per_item;
-    forward_row_chunk(wave + image * pairs * 8 * in_width, table, focal + image * pairs * 8 * span, get_global_id(0),
-                      pair, min(pairs, pair + pairs_per_item), inputs, in_width, span);
+    forward_row_chunk(wave + image * pairs * 8 * in_width, table, focal + image * pairs * 8 * span,
+                      get_global_id(0) % chunks, pair, min(pairs, pair + pairs_per_item), inputs, in_width, span);
 }
 
-/* focal -> wave: global (chunks, any, images). */
+/* focal -> wave: global (chunks times any, 1, images). */
 __kernel void adjoint_rows(__global const real *focal, __global const real *table, __global real *wave,
                            const int inputs, const int pairs, const int pairs_per_item, const int in_width,
                            const int width) {
-    if ((int)get_global_id(0) >= row_chunks(width)) return;
+    const int chunks = row_chunks(width), pair = get_global_id(0) / chunks * pairs_per_item;
     const size_t image = get_global_id(2);
-    const int pair = get_global_id(1) * pairs_per_item;
-    adjoint_row_chunk(focal + image * pairs * 8 * in_width, table, wave + image * pairs * 8 * width, get_global_id(0),
-                      pair, min(pairs, pair + pairs_per_item), inputs, in_width, width);
+    adjoint_row_chunk(focal + image * pairs * 8 * in_width, table, wave + image * pairs * 8 * width,
+                      get_global_id(0) % chunks, pair, min(pairs, pair + pairs_per_item), inputs, in_width, width);
 }
 
 /* wave -> field: global (2 width / VEC, any, images). */

@@ -44,8 +44,8 @@ pub(crate) const TABLE: &[Family] = &[
         source: include_str!("../../kernels/transform.cl"),
         entries: &[
             Entry { name: "forward_columns", gpu_local: [32, 1, 1] },
-            Entry { name: "forward_rows", gpu_local: [32, 1, 1] },
-            Entry { name: "adjoint_rows", gpu_local: [32, 1, 1] },
+            Entry { name: "forward_rows", gpu_local: [64, 1, 1] },
+            Entry { name: "adjoint_rows", gpu_local: [64, 1, 1] },
             Entry { name: "adjoint_columns", gpu_local: [32, 1, 1] },
         ],
     },

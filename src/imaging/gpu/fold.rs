@@ -8,6 +8,8 @@ use crate::device::{Build, FftPlan};
 
 /// Output rows per work-item in the products along columns; `TALL` of `common.cl`.
 pub(super) const TALL: usize = 6;
+/// Outputs per work-item in the products along rows on a GPU; `ROW_WIDE` of `transform.cl`.
+const ROW_WIDE: usize = 4;
 /// Images per work-item in the products with the modes; `GROUP` of `common.cl`.
 pub(super) const GROUP: usize = 4;
 /// Modes per work-item in the projection.
@@ -113,10 +115,10 @@ impl FoldedShape {
         table
     }
 
-    /// Chunks of vectors of outputs as `[input][cos, sin][vectors][VEC]`, zero beyond `outputs`.
+    /// Chunks of vectors of outputs as `[input][cos, sin][vectors][VEC]`, zero beyond `outputs`; on a GPU all are one chunk.
     fn rows(&self, outputs: usize, inputs: usize, angle: impl Fn(usize, usize) -> f64) -> Vec<f64> {
         let vectors = outputs.div_ceil(self.vector);
-        let chunks = row_chunks(vectors);
+        let chunks = if self.vector == 1 { 1 } else { self.row_chunks(vectors * self.vector) };
         let mut table = Vec::with_capacity(vectors * self.vector * inputs * 2);
         for chunk in 0..chunks {
             let (start, end) = (2 * chunk, if chunk + 1 < chunks { 2 * chunk + 2 } else { vectors });
@@ -128,6 +130,12 @@ impl FoldedShape {
             }
         }
         table
+    }
+
+    /// Number of work-items for a row of `width` outputs: two vectors each, three for the last of an odd number; on a GPU four
+    /// outputs.
+    pub fn row_chunks(&self, width: usize) -> usize {
+        if self.vector == 1 { width.div_ceil(ROW_WIDE) } else { (width / self.vector / 2).max(1) }
     }
 
     /// Sizes of the four tables and of the twiddle factors, which replace the tables with an FFT.
@@ -161,11 +169,6 @@ impl FoldedShape {
             Self::columns(self.rows, self.pairs, adjoint),
         ]
     }
-}
-
-/// Number of work-items for a row of `vectors` output vectors: two vectors each, three for the last of an odd number.
-pub(super) fn row_chunks(vectors: usize) -> usize {
-    (vectors / 2).max(1)
 }
 
 /// Distance of sample or pixel `i` of `size` from the axis, in whole steps, and 1 where it is on the negative side.

@@ -3,7 +3,7 @@
 use super::bind::{Bindings, ColourKernels, PhaseKernels, PixelKernels};
 use super::budget::MemoryBudget;
 use super::colours::{ColourBuffers, ColourSizes};
-use super::fold::{Blocks, FoldedShape, GROUP, TALL, row_chunks};
+use super::fold::{Blocks, FoldedShape, GROUP, TALL};
 use super::image::FoldedImage;
 use super::layout::GpuLayout;
 use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers, padded};
@@ -290,8 +290,8 @@ impl Stages {
         let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colour_kernels[colour]);
         let groups = shape.pairs.div_ceil(TALL);
         k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])?;
-        let chunks = row_chunks(shape.span / shape.vector);
-        k.forward_rows.launch([chunks, shape.pairs.div_ceil(partition.pairs_per_item), images])
+        let items = shape.row_chunks(shape.span) * shape.pairs.div_ceil(partition.pairs_per_item);
+        k.forward_rows.launch([items, 1, images])
     }
 
     fn pixels(&mut self, first: usize, images: usize, fitted: bool) -> Result<()> {
@@ -300,14 +300,14 @@ impl Stages {
         if fitted {
             k.sums.int("first", first)?.launch(strips)?;
         }
-        k.photometry_solve.int("first", first)?.int("images", images)?.launch([images, 1, 1])?;
+        k.photometry_solve.int("first", first)?.launch([partition.lanes, images, 1])?;
         k.residuals.int("first", first)?.launch(strips)
     }
 
     fn transform_adjoint(&mut self, colour: usize, images: usize) -> Result<()> {
         let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colour_kernels[colour]);
-        let chunks = row_chunks(shape.width / shape.vector);
-        k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(partition.pairs_per_item), images])?;
+        let items = shape.row_chunks(shape.width) * shape.pairs.div_ceil(partition.pairs_per_item);
+        k.adjoint_rows.launch([items, 1, images])?;
         let groups = shape.rows.div_ceil(TALL);
         k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])
     }
