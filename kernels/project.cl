@@ -123,21 +123,27 @@ __kernel void project_segments(__global const real *phasor, __global const int *
                     scale, is_first, segment_start[segment], segment_start[segment + 1], COMPLEX_APART(blocks), poses);
 }
 
-/* D (in psi) -> mode_partial [image][chunk][padded modes]: global (mode groups, chunks, any). A work-item holds 4 modes x
-   GROUP images of vector sums over its chunk of blocks. Precondition: `images` is a multiple of GROUP. */
+/* D (in psi) -> mode_partial [image][chunk][padded modes]: global (mode groups, chunks, any); on a GPU (chunks, mode groups, any), with
+   the blocks `chunks` apart, so that neighbouring work-items read neighbouring blocks. A work-item holds 4 modes x GROUP images of
+   vector sums over its chunk of blocks. Precondition: `images` is a multiple of GROUP. */
 __kernel void project_modes(__global const real *basis, __global const real *psi, __global real *mode_partial,
-                            const int blocks, const int groups, const int blocks_per_chunk, const int images,
-                            const int block_stride, const int mode_stride, const int quadrant_stride) {
-    const int group = get_global_id(0), chunk = get_global_id(1), chunks = get_global_size(1);
-    if (group >= groups) return;
-    const int end = min(blocks, (chunk + 1) * blocks_per_chunk);
+                            const int blocks, const int groups, const int chunks, const int blocks_per_chunk,
+                            const int images, const int block_stride, const int mode_stride,
+                            const int quadrant_stride) {
+#if VEC == 1
+    const int chunk = get_global_id(0), group = get_global_id(1), start = chunk, end = blocks, step = chunks;
+#else
+    const int group = get_global_id(0), chunk = get_global_id(1), start = chunk * blocks_per_chunk, step = 1;
+    const int end = min(blocks, start + blocks_per_chunk);
+#endif
+    if (group >= groups || chunk >= chunks) return;
     for (int image = get_global_id(2) * GROUP; image < images; image += get_global_size(2) * GROUP) {
         vec sum[4][GROUP];
 #pragma unroll
         for (int j = 0; j < 4; j++)
 #pragma unroll
             for (int i = 0; i < GROUP; i++) sum[j][i] = SPLAT(REAL(0.0));
-        for (int block = chunk * blocks_per_chunk; block < end; block++) {
+        for (int block = start; block < end; block += step) {
             for (int q = 0; q < 4; q++) {
                 __global const real *b =
                     basis + (size_t)block * block_stride + (size_t)group * 4 * mode_stride + q * quadrant_stride;

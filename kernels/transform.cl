@@ -31,9 +31,21 @@ inline void column_product(__global const real *in, const int stride, const int 
         sum[r][0] = sum[r][1] = sum[r][2] = sum[r][3] = SPLAT(REAL(0.0));
     for (int k = 0; k < inputs; k++, in += stride, table += 2 * TALL) {
         vec even_re = GET(in, 0), even_im = GET(in, width), odd_re = GET(in, 2 * width), odd_im = GET(in, 3 * width);
+        real factor[2 * TALL];
+#if VEC == 1
+        /* A quarter of the loads. A group begins at a multiple of 2 TALL numbers, which 4 divides. */
+#pragma unroll
+        for (int i = 0; i < 2 * TALL; i += 4) {
+            const JOIN(BASE, 4) four = *(__global const JOIN(BASE, 4) *)(table + i);
+            factor[i] = four.x, factor[i + 1] = four.y, factor[i + 2] = four.z, factor[i + 3] = four.w;
+        }
+#else
+#pragma unroll
+        for (int i = 0; i < 2 * TALL; i++) factor[i] = table[i];
+#endif
 #pragma unroll
         for (int r = 0; r < TALL; r++) {
-            vec c = SPLAT(table[r]), s = SPLAT(table[TALL + r]);
+            vec c = SPLAT(factor[r]), s = SPLAT(factor[TALL + r]);
             sum[r][0] = MAD(c, even_re, sum[r][0]);
             sum[r][1] = MAD(c, even_im, sum[r][1]);
             sum[r][2] = MAD(s, odd_re, sum[r][2]);

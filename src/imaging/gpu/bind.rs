@@ -253,7 +253,9 @@ impl Bindings<'_> {
         self.basis(&mut k)?;
         self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
-        k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
+        k.int("blocks", self.counts.blocks)?
+            .int("groups", self.counts.mode_groups)?
+            .int("chunks", self.counts.chunks)?;
         k.int("blocks_per_chunk", self.partition.blocks_per_chunk)?;
         Ok(k)
     }

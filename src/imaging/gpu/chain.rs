@@ -16,6 +16,9 @@ use crate::{Error, Result};
 /// Images folded on the host at a time: enough for every core, and little memory compared with the device's.
 const FOLDED_AT_ONCE: usize = 32;
 
+/// Images from which their inputs are computed on all cores, 1 µs for each: waking them takes some 10 µs.
+const SHARED_FROM: usize = 64;
+
 /// The chain on a device, with memory for a number of images. It cannot be shared between threads, because the arguments of
 /// its kernels stay bound between launches.
 pub struct GpuChain {
@@ -278,30 +281,24 @@ impl GpuChain {
         for first in (0..images).step_by(self.stages.focal_tile()) {
             let count = (images - first).min(self.stages.focal_tile());
             let inputs = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
-            let pixels = self.shape.pixels();
+            let (pixels, shape) = (self.shape.pixels(), self.shape);
+            let mut unfolded = vec![0.0; count * m * m];
+            let images = unfolded.par_chunks_exact_mut(m * m);
             match self.stages.focal(count, &inputs)? {
                 Focal::Field(fields) => {
-                    fields.chunks_exact(2 * pixels).for_each(|field| psfs.extend(self.unfold(field)));
+                    let fields = fields.par_chunks_exact(2 * pixels);
+                    images.zip(fields).for_each(|(image, field)| unfold_intensity(&shape, field, m, image));
                 }
-                Focal::Intensity(images) => images.chunks_exact(pixels).for_each(|image| {
-                    psfs.extend((0..m * m).map(|i| image[self.shape.pixel(m, i / m, i % m)]));
-                }),
+                Focal::Intensity(folded) => {
+                    let unfold = |(image, folded): (&mut [f64], &[f64])| {
+                        image.iter_mut().enumerate().for_each(|(i, h)| *h = folded[shape.pixel(m, i / m, i % m)]);
+                    };
+                    images.zip(folded.par_chunks_exact(pixels)).for_each(unfold);
+                }
             }
+            psfs.append(&mut unfolded);
         }
         Ok(psfs)
-    }
-
-    /// |C ∓ iS|² of `[pair][+v, -v][C re, C im, S re, S im][u]`, in the order of pixels.
-    fn unfold<'a>(&'a self, focal: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
-        let (m, span) = (self.layout.pixels, self.shape.span);
-        (0..m * m).map(move |i| {
-            // The index of a pixel counts 2 sides of `span` per row, that of the focal field 4 planes.
-            let pixel = self.shape.pixel(m, i / m, i % m);
-            let (row, side, u) = (pixel / (2 * span), pixel / span % 2, pixel % span);
-            let [cr, ci, sr, si] = [0, 1, 2, 3].map(|plane| focal[(row * 4 + plane) * span + u]);
-            let sign = if side == 0 { 1.0 } else { -1.0 };
-            (cr + sign * si).powi(2) + (ci - sign * sr).powi(2)
-        })
     }
 
     /// The inputs of the stages.
@@ -321,15 +318,15 @@ impl GpuChain {
                 coefficients[k]
             )));
         }
-        let (first, smooth) = (&self.layout.colours[0], self.layout.smooth.len());
-        let mut turns = vec![0.0; images * smooth];
-        for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
-            for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
+        // The closures borrow the layout alone: the stages cannot be shared between threads.
+        let layout = &self.layout;
+        let turns = self.of_each_image(images, layout.smooth.len(), coefficients, |turns, coefficients| {
+            for (mode, coefficient) in layout.modes.iter().zip(coefficients) {
                 if let GpuMode::Smooth(j) = *mode {
-                    turns[image * smooth + j] += coefficient / first.wavelength_nm;
+                    turns[j] += coefficient / layout.colours[0].wavelength_nm;
                 }
             }
-        }
+        });
         let poses = self.layout.colours.iter().map(|colour| self.poses(colour, images, coefficients)).collect();
         Ok(Inputs { turns, poses })
     }
@@ -337,25 +334,54 @@ impl GpuChain {
     /// The poses of the segments at a wavelength: re and im of the phasor of the piston times the root of the intensity scale
     /// (so that |U|² is the PSF), then tip and tilt, turns.
     fn poses(&self, colour: &GpuColour, images: usize, coefficients: &[f64]) -> Vec<f64> {
-        let (modes, segments) = (self.modes(), self.layout.segments);
-        let amplitude = colour.intensity_scale.sqrt();
-        let mut poses = vec![[0.0; 3]; images * segments];
-        for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
-            for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
+        let (layout, amplitude) = (&self.layout, colour.intensity_scale.sqrt());
+        self.of_each_image(images, 4 * layout.segments, coefficients, |poses, coefficients| {
+            for (mode, coefficient) in layout.modes.iter().zip(coefficients) {
                 let amount = coefficient / colour.wavelength_nm;
                 match *mode {
-                    GpuMode::Segment(s) => poses[image * segments + s][0] += amount,
-                    GpuMode::Tip(s) => poses[image * segments + s][1] += amount,
-                    GpuMode::Tilt(s) => poses[image * segments + s][2] += amount,
+                    GpuMode::Segment(s) => poses[4 * s] += amount,
+                    GpuMode::Tip(s) => poses[4 * s + 2] += amount,
+                    GpuMode::Tilt(s) => poses[4 * s + 3] += amount,
                     GpuMode::Smooth(_) => (),
                 }
             }
+            for pose in poses.chunks_exact_mut(4) {
+                let (sine, cosine) = (TAU * (pose[0] - pose[0].round())).sin_cos();
+                (pose[0], pose[1]) = (amplitude * cosine, amplitude * sine);
+            }
+        })
+    }
+
+    /// `numbers` of each image, which `fill` makes of zeros from its coefficients; many images on all cores.
+    fn of_each_image(
+        &self,
+        images: usize,
+        numbers: usize,
+        coefficients: &[f64],
+        fill: impl Fn(&mut [f64], &[f64]) + Sync,
+    ) -> Vec<f64> {
+        let mut filled = vec![0.0; images * numbers];
+        let (each, modes) = (numbers.max(1), self.modes().max(1));
+        if images < SHARED_FROM {
+            filled.chunks_exact_mut(each).zip(coefficients.chunks_exact(modes)).for_each(|(to, from)| fill(to, from));
+        } else {
+            let (to, from) = (filled.par_chunks_exact_mut(each), coefficients.par_chunks_exact(modes));
+            to.zip(from).with_min_len(SHARED_FROM / 4).for_each(|(to, from)| fill(to, from));
         }
-        let pose = |[piston, tip, tilt]: [f64; 3]| {
-            let (sine, cosine) = (TAU * (piston - piston.round())).sin_cos();
-            [amplitude * cosine, amplitude * sine, tip, tilt]
-        };
-        poses.into_iter().flat_map(pose).collect()
+        filled
+    }
+}
+
+/// |C ∓ iS|² of `[pair][+v, -v][C re, C im, S re, S im][u]`, in the order of pixels of an image of `m` rows.
+fn unfold_intensity(shape: &FoldedShape, field: &[f64], m: usize, image: &mut [f64]) {
+    let span = shape.span;
+    for (i, h) in image.iter_mut().enumerate() {
+        // The index of a pixel counts 2 sides of `span` per row, that of the focal field 4 planes.
+        let pixel = shape.pixel(m, i / m, i % m);
+        let (row, side, u) = (pixel / (2 * span), pixel / span % 2, pixel % span);
+        let [cr, ci, sr, si] = [0, 1, 2, 3].map(|plane| field[(row * 4 + plane) * span + u]);
+        let sign = if side == 0 { 1.0 } else { -1.0 };
+        *h = (cr + sign * si).powi(2) + (ci - sign * sr).powi(2);
     }
 }
 

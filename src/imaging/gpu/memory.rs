@@ -10,6 +10,8 @@ use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 const TILE_BYTES_PER_CORE: usize = 4 << 20;
 /// Bytes of the arrays of a tile on a GPU: enough images to use all of it, and a small part of its memory.
 const TILE_BYTES_GPU: usize = 256 << 20;
+/// Work-items that share a sum on a GPU: as many as run in lockstep.
+const LOCKSTEP: usize = 32;
 /// Work-items of `focus` per core: so many that every core has at least one, however they are distributed.
 const WORKERS_PER_CORE: usize = 3;
 
@@ -76,8 +78,8 @@ impl Partition {
                 output_items: layout.outputs(),
                 group_items: tile / GROUP,
                 pairs_per_strip: 4,
-                lanes: 32,
-                blocks_per_chunk: 64,
+                lanes: LOCKSTEP,
+                blocks_per_chunk: blocks.div_ceil(LOCKSTEP).max(1),
             }
         } else {
             let cores = info.compute_units.max(1) as usize;

@@ -322,7 +322,9 @@ impl Stages {
         let (partition, counts, k) = (&self.partition, &self.counts, &mut self.phase_kernels);
         let groups = images.div_ceil(GROUP);
         k.project_modes.int("images", groups * GROUP)?;
-        k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(partition.group_items)])?;
+        let (modes, chunks) = (counts.mode_groups, counts.chunks);
+        let [x, y] = if self.shape.vector == 1 { [chunks, modes] } else { [modes, chunks] };
+        k.project_modes.launch([x, y, groups.min(partition.group_items)])?;
         k.collect.int("first", first)?.launch([partition.output_items, images, 1])
     }
 }
