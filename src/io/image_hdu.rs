@@ -31,7 +31,7 @@ pub struct Images {
     pub unit: PixelUnit,
     /// What the cards of the image HDU, else of the primary HDU, state of the instrument.
     pub facts: Vec<HeaderFact>,
-    /// Number of pixels that are not finite.
+    /// Number of pixels that are not finite and that nothing marks.
     pub non_finite: usize,
     /// Name of the HDU of the images.
     pub hdu_name: String,
@@ -52,8 +52,7 @@ pub(super) fn read_hdu(
     mask: Option<&Path>,
 ) -> Result<Images> {
     let data = file.cube_at(index)?;
-    let mut bad = data.mapv(|value| !value.is_finite());
-    let non_finite = bad.iter().filter(|&&is_bad| is_bad).count();
+    let mut bad = Array3::from_elem(data.dim(), false);
     let mut repaired = file.repaired();
     if let Some(marks) = marks {
         mark_bad_pixels(file, marks, &mut bad)?;
@@ -69,6 +68,11 @@ pub(super) fn read_hdu(
         let mask_repairs = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
         repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
     }
+    let mut non_finite = 0;
+    bad.zip_mut_with(&data, |is_bad, value| {
+        non_finite += usize::from(!*is_bad && !value.is_finite());
+        *is_bad |= !value.is_finite();
+    });
     let read_noise_e = read_noise(file, index)?;
     let (unit, facts) = (header::unit(file, index)?, header::facts(file, index)?);
     let channel = match file.card_at(index, CHANNEL)? {

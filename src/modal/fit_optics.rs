@@ -90,18 +90,10 @@ pub(crate) fn explaining_fit(
 ) -> Result<Option<(ModalFitter, [f64; 2])>> {
     let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
     with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
-        let mut start = (own.clone(), search.iterate(&own)?);
-        let own_chi2 = start.1.reduced_chi2;
-        let elsewhere: Vec<f64> = own.iter().map(|value| factor * value).collect();
-        let is_near = |((from, to), step): ((&f64, &f64), &f64)| (to - from).abs() <= MAX_STEP * step;
-        if !own.iter().zip(&elsewhere).zip(&search.steps).all(is_near) {
-            match search.iterate(&elsewhere) {
-                Ok(first) if first.reduced_chi2 < own_chi2 => start = (elsewhere, first),
-                Err(error @ Error::Interrupted(_)) => return Err(error),
-                // The scene may not accept the value, or no fit converges there.
-                Ok(_) | Err(_) => {}
-            }
-        }
+        let first = search.iterate(&own)?;
+        let own_chi2 = first.reduced_chi2;
+        let elsewhere = own.iter().map(|value| factor * value).collect();
+        let start = search.better_start((own.clone(), first), elsewhere)?;
         let removed = own_chi2 - start.1.reduced_chi2 + start.1.expected_drop;
         // Without the reduction of the image a misfit can be within the noise.
         if own_chi2 <= 1.0 || removed <= WORTH_FITTING * (own_chi2 - 1.0) {
@@ -125,7 +117,7 @@ pub(crate) struct OpticsMinimum {
 }
 
 /// Fits the numbers that `scene` names (no reflectivities), with the Karhunen-Loève basis of `cache`, without another search for
-/// outlier pixels, to find which of them the images contradict.
+/// outlier pixels, to find which of them the images contradict. The fit starts from `plate_scale`, where it is given and χ² is lower there.
 ///
 /// # Errors
 /// As [`estimator`].
@@ -134,13 +126,20 @@ pub(crate) fn fit_together(
     recipe: &Recipe,
     cache: &BasisCache,
     cube: Cube,
+    plate_scale: Option<f64>,
     cancel: Option<&CancelFlag>,
 ) -> Result<OpticsMinimum> {
     let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
     with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
         let first = search.iterate(&own)?;
         let own_chi2 = first.reduced_chi2;
-        let (values, last) = search.minimum((own.clone(), first))?;
+        let is_plate_scale = |parameter: &Parameter| matches!(parameter, Parameter::Number(Optic::PlateScale, _));
+        let mut elsewhere = own.clone();
+        if let (Some(at), Some(value)) = (search.parameters.iter().position(is_plate_scale), plate_scale) {
+            elsewhere[at] = value;
+        }
+        let start = search.better_start((own.clone(), first), elsewhere)?;
+        let (values, last) = search.minimum(start)?;
         let fitter = search.fitter_at(&own, &values, &last)?;
         let reduced_chi2 = [own_chi2, last.reduced_chi2];
         Ok(OpticsMinimum { fitter, covariance: last.covariance, reduced_chi2, pixels: last.pixels })
@@ -194,6 +193,20 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
+    /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is lower there, else `start`.
+    fn better_start(&self, start: (Vec<f64>, Iteration), elsewhere: Vec<f64>) -> Result<(Vec<f64>, Iteration)> {
+        let is_near = |((from, to), step): ((&f64, &f64), &f64)| (to - from).abs() <= MAX_STEP * step;
+        if start.0.iter().zip(&elsewhere).zip(&self.steps).all(is_near) {
+            return Ok(start);
+        }
+        match self.iterate(&elsewhere) {
+            Ok(first) if first.reduced_chi2 < start.1.reduced_chi2 => Ok((elsewhere, first)),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            // The scene may not accept the value, or no fit converges there.
+            Ok(_) | Err(_) => Ok(start),
+        }
+    }
+
     /// Iterates from `start`, values and their iteration, and returns the fitter with the median reduced χ². `own` are the scene's
     /// values.
     fn run(&self, own: &[f64], start: (Vec<f64>, Iteration)) -> Result<(ModalFitter, f64)> {

@@ -31,9 +31,8 @@ use super::misfit::{self, TOP};
 use super::modal_task::{Fitted, ModalTask};
 use super::orientation::Poke;
 use super::policy::Policy;
-use super::residual_shape::Shape;
 use crate::io::Quantity as Card;
-use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, OpticsMinimum};
+use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, ModalEstimate, OpticsMinimum};
 use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
 use finding::with;
@@ -222,18 +221,24 @@ impl Work<'_> {
 
     /// Optical parameters, fitted together, and shapes of the residual.
     fn optics_and_shapes(&mut self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Vec<Finding>> {
+        let (excess, shapes) = self.with_case(fitted, cache, |case, found| {
+            Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
+        })?;
+        let pixels = pixels_of(fitted);
+        let is_misfit = excess > MISFIT_SIGMA * (2.0 * pixels).sqrt();
+        // Beyond some per cent the fit of all parameters does not reach a plate scale that one alone finds.
+        let plate_scale =
+            if is_misfit { self.with_case(fitted, cache, |case, found| case.plate_scale(found))? } else { None };
+        let start = plate_scale.map(|other| other.fitted);
         let mut parameters = optics::parameters(scene);
-        let mut minimum = self.minimum(scene, cache, &parameters)?;
+        let mut minimum = self.minimum(scene, cache, &parameters, start)?;
         if minimum.is_none() && parameters.contains(&Optic::Rotation) {
             // A turned pupil may be larger than its grid.
             parameters.retain(|optic| *optic != Optic::Rotation);
-            minimum = self.minimum(scene, cache, &parameters)?;
+            minimum = self.minimum(scene, cache, &parameters, start)?;
         }
         let own_chi2 = chi2_of(fitted);
         let best_chi2 = minimum.as_ref().map_or(own_chi2, |minimum| own_chi2.min(minimum.reduced_chi2[1]));
-        let (excess, shapes) = self.shapes(fitted)?;
-        let pixels = pixels_of(fitted);
-        let is_misfit = excess > MISFIT_SIGMA * (2.0 * pixels).sqrt();
         // What the best shape leaves.
         let left_by_shape =
             shapes.iter().map(|shape| 1.0 + (excess - shape.decrease) / pixels).fold(own_chi2, f64::min);
@@ -282,31 +287,41 @@ impl Work<'_> {
         Ok(findings)
     }
 
-    /// Minimum of `parameters` and the modes; `None` where the fit does not converge or leads to values that the scene does not accept.
-    fn minimum(&self, scene: &Scene, cache: &BasisCache, parameters: &[Optic]) -> Result<Option<OpticsMinimum>> {
+    /// Minimum of `parameters` and the modes, from the plate scale `start` on where there is one; `None` where the fit does not converge or
+    /// leads to values that the scene does not accept.
+    fn minimum(
+        &self,
+        scene: &Scene,
+        cache: &BasisCache,
+        parameters: &[Optic],
+        start: Option<f64>,
+    ) -> Result<Option<OpticsMinimum>> {
         // A scene without weights fits no optics.
         let Ok(fitting) = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))]) else { return Ok(None) };
         let images = &self.images;
         let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
         let flag = Some(self.control.flag());
-        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, flag) {
+        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, start, flag) {
             Ok(minimum) => Ok(Some(minimum)),
             Err(error @ Error::Interrupted(_)) => Err(error),
             Err(_) => Ok(None),
         }
     }
 
-    /// Excess of χ² of the first image that is used, and the shapes of its residual.
-    fn shapes(&self, fitted: &Fitted) -> Result<(f64, Vec<Shape>)> {
+    /// What `of` finds of the first image that is used.
+    fn with_case<T>(
+        &self,
+        fitted: &Fitted,
+        cache: &BasisCache,
+        of: impl FnOnce(&misfit::Case, &ModalEstimate) -> Result<T>,
+    ) -> Result<T> {
         let (fitter, found) = &fitted.fit;
         let image = found.used_images.first().copied().unwrap_or_default();
         let diversity = fitter.diversity_projection()?;
-        let cache = BasisCache::default();
         let (scene, policy, control) = (fitter.scene(), &self.policy, self.control);
-        let task = ModalTask { scene, policy, control, cache: &cache, images: &self.images, kept: None };
+        let task = ModalTask { scene, policy, control, cache, images: &self.images, kept: None };
         let (model, chain) = (fitter.model(), fitter.reference_chain());
-        let case = misfit::Case { task, image, model, chain, diversity: &diversity };
-        Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
+        of(&misfit::Case { task, image, model, chain, diversity: &diversity }, found)
     }
 }
 

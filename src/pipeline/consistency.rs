@@ -78,7 +78,8 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
         Comparison { images, scene: scene.clone(), is_changed: false, contradictions: Vec::new(), remarks: Vec::new() };
     if let Some(of_file) = &images.scene {
         for (key, file_value, value) in instrument::differences(of_file, &comparison.scene.clone()) {
-            comparison.decide(key, format!("table SCENE has {key} = {file_value}"), value, &file_value)?;
+            let (shown_key, shown) = scene.own_text(key, &file_value);
+            comparison.decide(key, format!("table SCENE has {shown_key} = {shown}"), value, &file_value)?;
         }
     }
     comparison.compare_facts(scene)?;
@@ -186,15 +187,20 @@ impl Comparison<'_> {
         if self.is_decided(key) {
             return Ok(());
         }
-        let sentence = format!("{source} where the scene has {key} = {value}");
+        let (shown_key, shown) = self.scene.own_text(key, &value);
+        let (_, shown_file) = self.scene.own_text(key, file_value);
+        let sentence = format!("{source} where the scene has {shown_key} = {shown}");
         let (key_text, file_text) = (key.to_string(), file_value.to_string());
         self.contradictions.push(Contradiction { key: key_text, file_value: file_text, sentence });
         match self.images.trust {
-            Trust::Scene => self.remarks.push(format!("The scene's {key} = {value} holds; {source} was not used.")),
+            Trust::Scene => {
+                self.remarks.push(format!("The scene's {shown_key} = {shown} holds; {source} was not used."));
+            }
             Trust::File => {
                 self.scene = self.scene.with(&[(key, file_value)])?;
                 self.is_changed = true;
-                self.remarks.push(format!("{key} = {file_value} is the file's ({source}); the scene has {value}."));
+                self.remarks
+                    .push(format!("{shown_key} = {shown_file} is the file's ({source}); the scene has {shown}."));
             }
             // Some values fit only together with others of the file: the contradiction is reported in any case.
             Trust::Neither => {

@@ -61,6 +61,12 @@ pub struct TruthMaps {
     pub ncpa_nm: Array2<f64>,
 }
 
+/// Note on pixels that are not finite and were not marked as bad.
+fn note_of_masked(count: usize) -> Option<String> {
+    let (are, were) = if count == 1 { ("is", "was") } else { ("are", "were") };
+    (count > 0).then(|| format!("{} {are} not finite and {were} masked", counted(count, "pixel")))
+}
+
 impl Images {
     /// Images `[image, y, x]` whose finite pixels are all good: electrons, or counts where the scene of the estimate has
     /// `image.gain_e_per_adu`.
@@ -70,14 +76,11 @@ impl Images {
     }
 
     /// [`Images::new`] with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
-    /// notes have their number.
+    /// notes have the number of those that the mask does not have.
     pub fn with_bad(images_e: Array3<f64>, mut bad: Array3<bool>) -> Self {
-        let non_finite = images_e.iter().filter(|electrons| !electrons.is_finite()).count();
-        let mut notes = Vec::new();
-        if non_finite > 0 {
-            let (are, were) = if non_finite == 1 { ("is", "was") } else { ("are", "were") };
-            notes.push(format!("{} {are} not finite and {were} masked", counted(non_finite, "pixel")));
-        }
+        let is_masked = bad.iter().copied().chain(std::iter::repeat(false));
+        let non_finite = images_e.iter().zip(is_masked).filter(|(electrons, bad)| !electrons.is_finite() && !bad);
+        let notes = note_of_masked(non_finite.count()).into_iter().collect();
         if bad.dim() == images_e.dim() {
             bad.zip_mut_with(&images_e, |bad, electrons| *bad |= !electrons.is_finite());
         }
@@ -139,7 +142,8 @@ impl Images {
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
             let found = slopes(&mut file, &read)?;
             let mut images = Self::with_bad(read.data, read.bad);
-            images.notes.splice(0..0, read.repaired.into_iter().chain(read.notes).chain(found.left_out));
+            let masked = note_of_masked(read.non_finite);
+            images.notes = read.repaired.into_iter().chain(read.notes).chain(found.left_out).chain(masked).collect();
             (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);
             images.scene = scene.as_ref().and_then(|scene| own_scene(scene, images.channel.as_deref()));
             (images.slopes_mas, images.truth) = (found.slopes, truth.clone());

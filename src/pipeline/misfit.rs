@@ -6,6 +6,7 @@ use super::residual_shape::Residual;
 use crate::imaging::CpuChain;
 use crate::modal::{self, Cube, DiversityProjection, FittedImage, ModalEstimate, Model};
 use crate::modes::Group;
+use crate::scene::{Scene, rounded};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
 
@@ -58,7 +59,7 @@ impl Case<'_> {
         let cause = match saturation(&found.compared, frame_e, bad) {
             Some(cause) => Some(cause),
             None => match self.plate_scale(found)? {
-                Some(cause) => Some(cause),
+                Some(other) => Some(other.sentence(self.task.scene)),
                 None => shape(&found.compared, native, self.derivatives(found)),
             },
         };
@@ -83,7 +84,10 @@ impl Case<'_> {
     }
 
     /// Another plate scale with which the model explains the image.
-    fn plate_scale(&self, found: &ModalEstimate) -> Result<Option<String>> {
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub(super) fn plate_scale(&self, found: &ModalEstimate) -> Result<Option<PlateScale>> {
         let only = self.image..self.image + 1;
         let images_e = self.task.images.images_e.slice(ndarray::s![only.clone(), .., ..]);
         let bad = self.task.images.bad.slice(ndarray::s![only, .., ..]);
@@ -108,14 +112,12 @@ impl Case<'_> {
         };
         let [optic] = fitter.fitted_optics() else { return Ok(None) };
         let left = (fitted_chi2 - 1.0).max(0.0) / (own_chi2 - 1.0);
-        Ok((optic.is_identifiable() && left < LEFT_BY_PLATE_SCALE).then(|| {
-            format!(
-                "the plate scale: with {} = {:.4} in place of {} its reduced χ² is {fitted_chi2:.2} in place of {own_chi2:.2}; \
-                 estimate.fit_optics = [\"plate-scale\"] fits it (another wavelength or size of the pupil has the same effect)",
-                optic.key(),
-                optic.value,
-                optic.scene
-            )
+        let explains = optic.is_identifiable() && left < LEFT_BY_PLATE_SCALE;
+        Ok(explains.then(|| PlateScale {
+            key: optic.key(),
+            fitted: optic.value,
+            of_scene: optic.scene,
+            reduced_chi2: [own_chi2, fitted_chi2],
         }))
     }
 
@@ -142,6 +144,29 @@ impl Case<'_> {
             }
         }
         if square > 0.0 { product / square } else { 0.0 }
+    }
+}
+
+/// Another plate scale that explains an image, pixels per λ/D.
+pub(super) struct PlateScale {
+    key: String,
+    pub(super) fitted: f64,
+    of_scene: f64,
+    /// Reduced χ² of the image with the scene's and with the fitted one.
+    reduced_chi2: [f64; 2],
+}
+
+impl PlateScale {
+    /// The end of a sentence, in the terms of `scene`.
+    fn sentence(&self, scene: &Scene) -> String {
+        let (key, fitted) = scene.own_form(&self.key, self.fitted);
+        let (_, of_scene) = scene.own_form(&self.key, self.of_scene);
+        let [own_chi2, fitted_chi2] = self.reduced_chi2;
+        format!(
+            "the plate scale: with {key} = {fitted:.4} in place of {} its reduced χ² is {fitted_chi2:.2} in place of {own_chi2:.2}; \
+             estimate.fit_optics = [\"plate-scale\"] fits it (another wavelength or size of the pupil has the same effect)",
+            rounded(of_scene)
+        )
     }
 }
 

@@ -13,7 +13,8 @@ use ndarray::Array2;
 
 /// What a χ² that is too small means.
 pub(super) const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
-    (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large? The error bars are those of \
+    (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large (of images that were reduced without \
+    a dark it is an upper limit)? The error bars are those of \
     the stated noise";
 
 /// Probability from which the whole wavelengths of a piston are not flagged.
@@ -90,12 +91,21 @@ pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result
         }
         sum < MIRROR_TOLERANCE.powi(2) * weight
     };
-    let flips = [[true, false], [false, true], [true, true]];
-    Ok(flips.into_iter().any(is_symmetric).then(|| {
-        "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \
-         ('cophase check-orientation' finds it from a known poke of a segment or an actuator; image.flip_x and image.flip_y set \
-         it)."
-            .into()
+    let is_turned_equal = is_symmetric([true, true]);
+    let is_flipped_equal = [[true, false], [false, true]].into_iter().any(is_symmetric);
+    // A point-symmetric pupil with an even diversity has the same image with the opposite diversity and the wavefront −W(−x, −y).
+    let has_diversity = map.is_some() || scene.image.diversity_focus_waves_rms != 0.0;
+    let sign = if is_turned_equal && has_diversity {
+        " Nor can the sign of the diversity: with the opposite one the maps are −W(−x, −y)."
+    } else {
+        ""
+    };
+    Ok((is_turned_equal || is_flipped_equal).then(|| {
+        format!(
+            "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \
+             ('cophase check-orientation' finds it from a known poke of a segment or an actuator; image.flip_x and image.flip_y \
+             set it).{sign}"
+        )
     }))
 }
 

@@ -41,6 +41,7 @@ pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::NollRange;
+pub(crate) use own_form::rounded;
 pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene};

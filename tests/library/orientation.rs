@@ -15,6 +15,20 @@ fn estimate(scene: &Scene, images: &Images) -> Estimate {
     shown(Estimator::new(scene).unwrap().estimate(images).unwrap())
 }
 
+#[test]
+fn the_sign_of_the_diversity_is_unverified_where_the_pupil_equals_its_turn_by_180_degrees() {
+    let remark = |settings: &[(&str, &str)]| {
+        let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
+        let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+        found.remarks.into_iter().find(|remark| remark.contains(UNVERIFIED)).unwrap_or_default()
+    };
+    assert!(remark(&[]).contains("Nor can the sign of the diversity"));
+    // One vane leaves a flip that the pupil equals, and no turn.
+    let vane = [("pupil.spider_width_m", "0.25"), ("pupil.spider_vanes_deg", "[90]")];
+    let flips = remark(&vane);
+    assert!(flips.contains(UNVERIFIED) && !flips.contains("sign of the diversity"), "{flips}");
+}
+
 fn remarks(found: &Estimate) -> usize {
     found.remarks.iter().filter(|remark| remark.contains(UNVERIFIED)).count()
 }

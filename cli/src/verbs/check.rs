@@ -4,6 +4,7 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::Terminal;
+use crate::verbs::DOUBTFUL_STATUS;
 use cophase::Result;
 use cophase::pipeline::{Check, Control, Finding, Images, Poke, check};
 use cophase::scene::Scene;
@@ -11,6 +12,7 @@ use cophase_cli::plot::{CaptionedMap, MapScale, MapsPicture};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 const EXAMPLES: &str = "Examples:
   cophase check images.fits --scene scene.toml
@@ -58,12 +60,15 @@ pub struct Arguments {
     /// Picture of image, model and residual, with the scene and with the first fault corrected: a .png or .svg file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    /// Writes the scene with the settings of the first fault
+    /// Writes the scene with the settings of the first fault, where it has some
     #[arg(long, value_name = "FILE")]
     write: Option<PathBuf>,
     /// Print the findings as JSON
     #[arg(long)]
     json: bool,
+    /// Exit with status 3 where a fault was found
+    #[arg(long)]
+    strict: bool,
 }
 
 impl Arguments {
@@ -86,7 +91,7 @@ impl Arguments {
     }
 }
 
-pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
     let scene = arguments.scene()?;
@@ -106,20 +111,28 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if let Some(path) = &arguments.plot {
         picture(&arguments.images.display().to_string(), &found).draw(path)?;
     }
-    if let Some(path) = &arguments.write {
+    let has_settings = found.cause().is_some_and(|cause| !cause.settings.is_empty());
+    if let Some(path) = arguments.write.as_ref().filter(|_| has_settings) {
         cophase::io::write_atomically(path, found.corrected.text().as_bytes())?;
     }
-    if arguments.json { terminal.json(&Printed::new(&found)) } else { terminal.show(&text(&found)) }
+    if arguments.json { terminal.json(&Printed::new(&found)) } else { terminal.show(&text(&found)) }?;
+    if let Some(path) = arguments.write.as_ref().filter(|_| !has_settings) {
+        let why =
+            if found.cause().is_some() { "the likeliest cause has no single key to set" } else { "no fault was found" };
+        terminal.warn(&format!("{} was not written: {why}", path.display()));
+    }
+    let is_faulty = arguments.strict && found.cause().is_some();
+    Ok(if is_faulty { ExitCode::from(DOUBTFUL_STATUS) } else { ExitCode::SUCCESS })
 }
 
 /// The table for people.
 fn text(found: &Check) -> String {
     let number = |value: Option<f64>| value.map_or_else(|| "-".to_string(), |value| format!("{value:.5}"));
-    let mut text = format!("{:<28}{:<16}{:>12}{:>12}{:>11}\n", "quantity", "verdict", "scene", "found", "1σ");
+    let mut text = format!("{:<36}{:<16}{:>12}{:>12}{:>11}\n", "quantity", "verdict", "scene", "found", "1σ");
     for one in &found.findings {
         let (quantity, verdict) = (one.quantity.name(), one.verdict.words());
         let [scene, value, sigma] = [one.scene, one.found, one.sigma].map(number);
-        text += &format!("{quantity:<28}{verdict:<16}{scene:>12}{value:>12}{sigma:>11}\n");
+        text += &format!("{quantity:<36}{verdict:<16}{scene:>12}{value:>12}{sigma:>11}\n");
     }
     text += "\n";
     for one in &found.findings {

@@ -34,6 +34,9 @@ use std::process::ExitCode;
 const ABOUT: &str = "Reads defocused images of a star; says what the mirror segments, and what the optics behind the \
 adaptive optics, do to the wavefront: in nm, with error bars.";
 
+/// Exit status under --strict of an estimate with a warning, and of a check with a fault.
+const DOUBTFUL_STATUS: u8 = 3;
+
 const FIRST_STEPS: &str = "First steps:
   cophase demo -o demo-output                   an image, an estimate, a picture
   cophase scene keck-artificial > scene.toml    a documented scene to edit
@@ -43,8 +46,8 @@ const FIRST_STEPS: &str = "First steps:
   cophase plan keck-artificial --budget-nm 1    the cheapest model for 1 nm
   cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
 
-Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 3 an estimate with warnings under \
---strict, 130 stopped by Ctrl-C or SIGTERM.";
+Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 3 an estimate with warnings or a \
+check with a fault under --strict, 130 stopped by Ctrl-C or SIGTERM.";
 
 /// What the command line says.
 #[derive(Parser)]
@@ -94,7 +97,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Merge(arguments) => return merge::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
-        Verb::Check(arguments) => check::run(&arguments, &terminal),
+        Verb::Check(arguments) => return check::run(&arguments, &terminal),
         Verb::CheckOrientation(arguments) => check_orientation::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),

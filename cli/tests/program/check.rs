@@ -73,6 +73,36 @@ fn a_wrong_plate_scale_is_named_and_corrected() {
     );
 }
 
+#[test]
+fn a_plate_scale_that_is_far_off_is_named_in_the_keys_of_the_scene() {
+    // In milliarcseconds, 6 % more than the images have.
+    let desk = desk(&["image.samples_per_lambda_over_d=2.12"]);
+    let wavelength_nm = cophase::Scene::from_file(desk.path("scene.toml")).unwrap().image.wavelength_nm;
+    // λ/D of the grid of 5.2 m.
+    let mas = |pixels: f64| wavelength_nm * 1e-9 / 5.2 / pixels * 206_264_806.25;
+    let pixel = format!("image.pixel_mas={}", mas(2.0));
+    let json = desk.json(&check("bare.fits", &["--json", "--set", &pixel]));
+    assert_eq!(json["cause"], "plate scale or wavelength", "{json}");
+    let value: f64 = json["settings"]["image.pixel_mas"].as_str().unwrap().parse().unwrap();
+    assert!((value / mas(2.12) - 1.0).abs() < 2e-3, "{json}");
+    assert!(json["reduced_chi2_corrected"].as_f64().unwrap() < 1.3, "{json}");
+}
+
+#[test]
+fn strict_says_by_its_status_whether_there_is_a_fault() {
+    let sound = desk(&[]);
+    let done = sound.succeeds(&check("bare.fits", &["--strict", "--write", "same.toml"]));
+    assert!(done.err.contains("same.toml was not written: no fault was found") && !sound.path("same.toml").exists());
+    let faulty = desk(&["image.samples_per_lambda_over_d=2.05"]);
+    let done = faulty.run(&check("bare.fits", &["--strict", "--write", "corrected.toml"]));
+    assert_eq!(done.status, 3, "{}", done.err);
+    assert!(
+        done.out.contains("Likeliest cause: plate scale") && faulty.path("corrected.toml").exists(),
+        "{}",
+        done.out
+    );
+}
+
 /// The scene in a file is what its images were made or reduced with, and no evidence against a scene that was corrected since.
 #[test]
 fn a_corrected_plate_scale_is_not_set_back_to_that_of_the_file() {

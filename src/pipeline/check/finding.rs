@@ -1,7 +1,7 @@
 //! Finding: one quantity of scene and images that a check looked at.
 
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::{Scene, rounded};
 
 /// Keys of the sampling and the defocus, as everything reads them.
 pub(super) const SAMPLING: &str = "image.samples_per_lambda_over_d";
@@ -188,11 +188,6 @@ impl Finding {
     pub(super) fn open(quantity: CheckedQuantity, explanation: impl Into<String>) -> Self {
         Self::new(quantity, Verdict::NotDetermined, explanation)
     }
-}
-
-/// A number with seven significant digits.
-fn rounded(value: f64) -> String {
-    format!("{value:.6e}").parse().map_or_else(|_| value.to_string(), |rounded: f64| rounded.to_string())
 }
 
 /// The scene with these settings.

@@ -108,9 +108,9 @@ impl Turn {
         let set: Vec<String> = self.settings.iter().map(|(key, value)| format!("{key} = {value}")).collect();
         let (focus, opposite) = scene.own_form(FOCUS, -scene.image.diversity_focus_waves_rms);
         let sentence = format!(
-            "{name} explains the images ({chi2s}), and so does the opposite sign of the defocus, with other maps: set either {} or {focus} = \
+            "{name} explains the images ({chi2s}), and so does the opposite sign of the defocus, with other maps: set either {}, or {focus} = \
              {opposite}; a known poke of a segment or actuator decides (--segment or --actuator, --poke-nm)",
-            set.join(", ")
+            set.join(" and ")
         );
         vec![fault(CheckedQuantity::OrientationOrDefocusSign, sentence)]
     }

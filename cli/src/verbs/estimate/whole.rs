@@ -7,15 +7,13 @@ use crate::files;
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::{Terminal, Wait, counted};
+use crate::verbs::DOUBTFUL_STATUS;
 use crate::verbs::{moves, picture};
 use cophase::Result;
 use cophase::pipeline::{Control, Corrections, Estimate, Estimator, FittedPart, Images, Policy};
 use cophase::scene::Scene;
 use std::path::Path;
 use std::process::ExitCode;
-
-/// Exit status under --strict of an estimate with a warning.
-const DOUBTFUL_STATUS: u8 = 3;
 
 /// What an estimate works on.
 pub(super) struct Work {
