@@ -2,6 +2,8 @@
 One image
 =========
 
+*How do I estimate segment errors and NCPA from one image, and how do I check the error bars?*
+
 The phasing errors of 36 segments and the non-common path aberrations (NCPA), with error bars, from one defocused image of a
 point source inside the telescope. The image is simulated, so the result can be compared with the truth.
 """

@@ -2,7 +2,9 @@
 An error budget
 ===============
 
-Where do the error bars come from, and what do they cost? An estimate lists the terms of its error bars: noise, and an error
+*Where do the error bars come from, and how do I reach a given error?*
+
+An estimate lists the terms of its error bars: noise, and an error
 of the defocus if the scene states one. With a budget in the scene the planner chooses the cheapest model whose error stays
 within it.
 """

@@ -2,6 +2,8 @@
 A pair of images
 ================
 
+*What do two images show that one does not?*
+
 Two images of the same wavefront, defocused to both sides, determine the amplitude of their defocus. One image does not: if the
 defocus differs from that of the scene, the estimate is wrong and nothing shows it.
 """

@@ -2,6 +2,8 @@
 Two colours
 ===========
 
+*How do I find pistons of more than half a wavelength?*
+
 An image at one wavelength does not show a step of a whole wavelength between two segments. Images at two wavelengths do: their
 whole wavelengths agree at one piston only, up to the beat of the two.
 """

@@ -2,6 +2,8 @@
 Behind adaptive optics
 ======================
 
+*How do I estimate static errors from short exposures behind adaptive optics?*
+
 Short exposures of a star behind an adaptive optics (AO) loop: turbulence changes from one to the next, the static errors of
 segments and NCPA stay. The full-phase estimate retrieves the wavefront behind each exposure and separates the static errors
 from the turbulence and from the response of the loop to them.

@@ -2,6 +2,8 @@
 A checklist for real data
 =========================
 
+*How do I find out which key of my scene is wrong?*
+
 A real image comes with a scene that may be wrong: a plate scale, a rotation, a flip, an uneven illumination. ``cophase check`` fits what
 scene and image can contradict each other in, before the errors go into an estimate. This tutorial uses the program.
 """

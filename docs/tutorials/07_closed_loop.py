@@ -2,6 +2,8 @@
 A closed loop
 =============
 
+*How do I correct the segments in several rounds?*
+
 Estimate, correct, take the next image: the phasing errors fall to the noise in one or two steps, and stay there while the segments
 drift.
 """

@@ -2,6 +2,8 @@
 Fits with a deadline
 ====================
 
+*How do I fit every frame within a deadline?*
+
 A control loop wants a fit of each frame within a time. A :class:`cophase.Session` allocates its memory when it is created, fits
 frame by frame, and stops at its deadline with the best so far. A :class:`cophase.Sequence` combines the last frames.
 """

@@ -2,6 +2,8 @@
 Extremely Large Telescope
 =========================
 
+*How long does an estimate of 798 segments take, and how good is it?*
+
 798 segment pistons and 66 NCPA modes of the ELT from one defocused image: the time it takes, what is uncertain in the result, and
 how many images lower it.
 """

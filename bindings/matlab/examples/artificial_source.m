@@ -1,6 +1,6 @@
 function residual_nm = artificial_source(draws, directory)
     %ARTIFICIAL_SOURCE  Segments and NCPA from one image of a source inside the telescope.
-    %   artificial_source() draws aberrations of Keck as the paper's section 3 does, takes a defocused image of them
+    %   artificial_source() draws aberrations of Keck as section 3 of Lamb et al. (2021) does, takes a defocused image of them
     %   with noise, estimates them from that image alone, and writes two pictures to the working directory:
     %      artificial_source_maps.png       image, truth, estimate and residual of the first draw
     %      artificial_source_residuals.png  residuals of all draws, and those that were published
