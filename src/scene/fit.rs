@@ -58,8 +58,8 @@ impl Check for ModesScene {
 section! {
     /// Settings of the estimate. Estimate only. Unset keys have the values of the optimizer's recipe.
     EstimateScene = "estimate" {
-        /// Optimiser and recipe: "gauss-newton" is noise-weighted maximum likelihood; "bfgs" is the paper's method
-        /// (hard-edged pupil, no exact_zernikes, no weights); "paper" is the paper's objective with the optimiser of
+        /// Optimiser and recipe: "gauss-newton" is noise-weighted maximum likelihood; "bfgs" is the method of Lamb et al. (2021)
+        /// (hard-edged pupil, no exact_zernikes, no weights); "paper" is its objective with the optimiser of
         /// "gauss-newton".
         optimizer: Optimizer, ANY, default(Optimizer::GaussNewton);
         /// Weight of each pixel in the fit.
@@ -76,14 +76,14 @@ section! {
         /// grid.
         samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
         /// Number of wavelengths of the model; the time of an evaluation is proportional to it.
-        wavelengths: Option<usize>, between(1.0, 99.0), unset("as the width of the filter requires; 1 with the paper's recipes");
+        wavelengths: Option<usize>, between(1.0, 99.0), unset("as the width of the filter requires; 1 with the recipes of Lamb et al.");
         /// Largest number of evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("given by optimizer");
         /// The fit stops if neither a coefficient nor the RMS of the wavefront would change by more than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("given by optimizer");
         /// Largest number of restarts, from a perturbed start, of a fit that ended in a wrong minimum; sessions do not
         /// restart.
-        restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the paper's recipes");
+        restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the recipes of Lamb et al.");
         /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the cheapest model within
         /// it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
@@ -104,7 +104,7 @@ section! {
         /// of each segment where the mean wavefront shows them; "scene" adds nothing, nor do sessions.
         model: ModelChoice, ANY, default(ModelChoice::Auto);
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
-        combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
+        combine: Option<Combine>, ANY, unset("clipped-mean; mean with the recipes of Lamb et al.");
         /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront of each image and
         /// then the static errors, "auto" chooses: "full-phase" where the scene has an AO loop or turbulence and two images
         /// or more differ by more than noise, flux and shifts explain.

@@ -26,7 +26,8 @@ section! {
         removed_rings: usize, between(0.0, 29.0), default(0usize);
         /// Largest distance of a segment's centre from the axis: hexagons farther out are left out.
         outer_radius_m: Option<f64>, above(0.0, 100.0), unset("complete rings");
-        /// Numbers of the observatory, in the order of ours: column LABEL of tables, and the picture of the pupil.
+        /// Numbers of the observatory, in the order of ours, which rotation_deg does not change: column LABEL of tables, and
+        /// the picture of the pupil.
         segment_labels: Option<Vec<usize>>, between(0.0, 1e9), unset("our numbers, from 0");
         /// Whether there is a central segment; the default is true for aperture = "hexagonal" and "round".
         central_segment: bool, ANY, default(false);
@@ -34,12 +35,14 @@ section! {
         central_obscuration_m: f64, between(0.0, 1000.0), default(0.0);
         /// Width of the spider's vanes; 0 for no spider.
         spider_width_m: f64, between(0.0, 10.0), default(0.0);
-        /// Directions of the spider's lines through the centre, counter-clockwise from +x; each line is two vanes.
+        /// Directions of the spider's lines through the centre, counter-clockwise from +x before
+        /// rotation_deg; each line is two vanes.
         spider_angles_deg: Vec<f64>, between(-360.0, 360.0), default([0.0, 60.0, 120.0]);
-        /// Directions of vanes that end at the centre, counter-clockwise from +x; in place of spider_angles_deg.
+        /// Directions of vanes that end at the centre, counter-clockwise from +x before rotation_deg; in place of
+        /// spider_angles_deg.
         spider_vanes_deg: Option<Vec<f64>>, between(-360.0, 360.0), unset("the lines of spider_angles_deg");
-        /// Rotation of segments and spider about the axis, counter-clockwise; modes, diversity and mirror are not
-        /// rotated.
+        /// Rotation of segments, their numbers and the spider about the axis, counter-clockwise; modes, diversity and mirror are
+        /// not rotated. 'cophase scene --plot' shows it.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
         /// Illumination of the pupil, relative to its mean, with X = 2x/grid_m and Y = 2y/grid_m:
         /// 1 + illumination_x·X + illumination_y·Y + illumination_edge·(2X² + 2Y² − 1). This is its slope along x.

@@ -11,7 +11,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
-  cophase reproduce table -o results                        the paper's table: some six minutes
+  cophase reproduce table -o results                        the table of the paper: some six minutes
   cophase reproduce artificial-source -o results            24 draws: a few minutes
   cophase reproduce diversity -o results --seeds 3
   cophase reproduce beyond -o results --row '10 images' --row '128 nm' --seeds 10
@@ -28,7 +28,7 @@ fn after_help() -> String {
     format!("{EXAMPLES}\n\nTargets:\n{targets}{figures}{all}\nEach writes its tables as CSV, and a picture.")
 }
 
-/// Repeat the paper's experiments: tables and pictures, its way beside ours
+/// Repeat the experiments of Lamb et al. (2021), the paper: tables and pictures, its way beside ours
 #[derive(Clone, clap::Args)]
 #[command(after_help = after_help())]
 pub struct Arguments {

@@ -135,20 +135,38 @@ fn parts_of_a_table_make_that_of_one_run() {
     desk.refuses(&other, &["pulls.part-1-of-2.draws", "--quick", "remove it"]);
 }
 
+/// What a script of a job array prints as task `task` of three, as Slurm starts it.
+fn slurm_task(desk: &Desk, script: &str, arguments: &[&str], task: &str) -> Done {
+    let program = Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/slurm").join(script);
+    let mut command = std::process::Command::new("bash");
+    command.arg(script).args(arguments).current_dir(desk.path("")).env("PATH", path);
+    command.env("SLURM_ARRAY_TASK_ID", task).env("SLURM_ARRAY_TASK_COUNT", "3").env("SLURM_CPUS_PER_TASK", "1");
+    Done::from(command.output().unwrap())
+}
+
+#[test]
+fn the_job_array_over_nights_estimates_each_file() {
+    let desk = Desk::with_images(&[]);
+    std::fs::create_dir(desk.path("nights")).unwrap();
+    for night in ["a.fits", "b.fits"] {
+        std::fs::copy(desk.path("images.fits"), desk.path("nights").join(night)).unwrap();
+    }
+    let task = |number: &str| slurm_task(&desk, "nights.sh", &["nights", "scene.toml", "est"], number);
+    let done = task("1");
+    assert_eq!(done.status, 0, "{}", done.err);
+    assert!(desk.path("est/b.fits").exists() && !desk.path("est/a.fits").exists());
+    let beyond = task("2");
+    assert!(beyond.status == 1 && beyond.err.contains("task 2 has no file: nights has 2"), "{}", beyond.err);
+}
+
 /// The scripts of the job array, as Slurm starts them.
 #[test]
 fn the_job_array_of_slurm_makes_the_file_of_one_run() {
     let desk = sequence();
     desk.succeeds(&["estimate", "images.fits", "--scene", "scene.toml", "-o", "whole.fits"]);
-    let program = Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let run = |script: &str, arguments: &[&str], task: &str| {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/slurm").join(script);
-        let mut command = std::process::Command::new("bash");
-        command.arg(script).args(arguments).current_dir(desk.path("")).env("PATH", &path);
-        command.env("SLURM_ARRAY_TASK_ID", task).env("SLURM_ARRAY_TASK_COUNT", "3").env("SLURM_CPUS_PER_TASK", "1");
-        Done::from(command.output().unwrap())
-    };
+    let run = |script: &str, arguments: &[&str], task: &str| slurm_task(&desk, script, arguments, task);
     let estimate = |task: &str| run("estimate.sh", &["images.fits", "scene.toml", "est"], task);
     assert_eq!(["3", "1"].map(|task| estimate(task).status), [0, 0]);
     let early = run("merge.sh", &["est"], "1");

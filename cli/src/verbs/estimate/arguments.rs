@@ -82,7 +82,7 @@ pub struct Arguments {
     /// Precision of the imaging model [default: f64, or f32 with full-phase]
     #[arg(long, value_parser = ["f64", "f32"])]
     pub(super) precision: Option<String>,
-    /// Ours (gauss-newton), the paper's method as a whole (bfgs), or its objective with our optimiser (paper)
+    /// Ours (gauss-newton), the method of Lamb et al. (2021) as a whole (bfgs), or its objective with our optimiser (paper)
     #[arg(long, value_parser = ["gauss-newton", "bfgs", "paper"])]
     pub(super) optimizer: Option<String>,
     /// RMS error that is allowed, nm, noise included: plans the cheapest model that keeps it (see cophase plan)

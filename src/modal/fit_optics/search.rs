@@ -1,0 +1,285 @@
+//! Gauss-Newton iterations of the optical parameters, each about the images' own minima.
+
+use super::super::cube::Cube;
+use super::super::diversity_error::SharedError;
+use super::super::fitted_optic::FittedOptic;
+use super::super::fitter::{ModalFitter, same_basis};
+use super::super::minimum::Minimum;
+use super::super::mode_set::{ModeSet, SceneBasis};
+use super::super::model::Model;
+use super::super::recipe::Recipe;
+use super::normal::{Iteration, NormalEquations};
+use super::parameter::{self, Parameter, telescope, with_numbers};
+use crate::imaging::{Chain, CpuChain, Precision};
+use crate::optimize::CancelFlag;
+use crate::scene::{Optic, Scene};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array1, ArrayView1};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, OnceLock};
+
+/// Most iterations of fits and steps: they reach 12 % of plate scale and six degrees of rotation.
+const MAX_ITERATIONS: usize = 12;
+/// Converged where the last step is less than this fraction of the error bars.
+const TOLERANCE: f64 = 0.1;
+/// Converged where the last step is less than this fraction of the derivatives' step: rounding.
+const ROUNDING: f64 = 1e-4;
+/// Largest step of one iteration, in steps of the derivatives: they hold for about half a pixel at the rim of the spot.
+const MAX_STEP: f64 = 10.0;
+
+/// The search, with what all iterations share.
+pub(super) struct Search<'a> {
+    pub(super) scene: Scene,
+    pub(super) parameters: Vec<Parameter>,
+    /// Steps of the derivatives.
+    pub(super) steps: Vec<f64>,
+    pub(super) recipe: Recipe,
+    pub(super) native: bool,
+    pub(super) scene_basis: Arc<SceneBasis>,
+    /// The modes, where all values of the parameters have the same.
+    pub(super) modes: OnceLock<ModeSet>,
+    pub(super) cube: Cube<'a>,
+    pub(super) cancel: Option<&'a CancelFlag>,
+}
+
+impl Search<'_> {
+    /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is lower there, else `start`.
+    pub(super) fn better_start(
+        &self,
+        start: (Vec<f64>, Iteration),
+        elsewhere: Vec<f64>,
+    ) -> Result<(Vec<f64>, Iteration)> {
+        let is_near = |((from, to), step): ((&f64, &f64), &f64)| (to - from).abs() <= MAX_STEP * step;
+        if start.0.iter().zip(&elsewhere).zip(&self.steps).all(is_near) {
+            return Ok(start);
+        }
+        match self.iterate(&elsewhere) {
+            Ok(first) if first.reduced_chi2 < start.1.reduced_chi2 => Ok((elsewhere, first)),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            // The scene may not accept the value, or no fit converges there.
+            Ok(_) | Err(_) => Ok(start),
+        }
+    }
+
+    /// Iterates from `start`, values and their iteration, and returns the fitter with the median reduced χ². `own` are the scene's
+    /// values.
+    pub(super) fn run(&self, own: &[f64], start: (Vec<f64>, Iteration)) -> Result<(ModalFitter, f64)> {
+        let (values, iteration) = self.minimum(start)?;
+        Ok((self.fitter_at(own, &values, &iteration)?, iteration.reduced_chi2))
+    }
+
+    /// The values of the minimum that iterations from `start` reach, with the last iteration.
+    pub(super) fn minimum(&self, start: (Vec<f64>, Iteration)) -> Result<(Vec<f64>, Iteration)> {
+        let (mut values, mut iteration) = start;
+        for number in 1..=MAX_ITERATIONS {
+            let mut step = iteration.step.clone();
+            let longest = step.iter().zip(&self.steps).map(|(step, unit)| (step / unit).abs()).fold(0.0, f64::max);
+            if longest > MAX_STEP {
+                step.iter_mut().for_each(|step| *step *= MAX_STEP / longest);
+            }
+            let is_small =
+                |((step, sigma), unit): ((&f64, &f64), &f64)| step.abs() <= (TOLERANCE * sigma).max(ROUNDING * unit);
+            if step.iter().zip(&iteration.sigma).zip(&self.steps).all(is_small) {
+                break;
+            }
+            if number == MAX_ITERATIONS {
+                return Err(Error::Image(format!(
+                    "estimate.fit_optics did not converge in {MAX_ITERATIONS} iterations ({}): leave it out, or give the scene \
+                     values that are nearer",
+                    self.describe(&values)
+                )));
+            }
+            // Half a step where a whole one raises χ², or leads to a scene whose model cannot be built.
+            let mut refusal = None;
+            let better = [1.0, 0.5, 0.25, 0.125].iter().find_map(|share| {
+                let next: Vec<f64> = values.iter().zip(&step).map(|(value, step)| value + share * step).collect();
+                match self.iterate(&next) {
+                    Ok(found) if found.reduced_chi2 > iteration.reduced_chi2 * (1.0 + 1e-3) => None,
+                    Ok(found) => Some(Ok((next, found))),
+                    Err(error @ Error::Interrupted(_)) => Some(Err(error)),
+                    Err(error) => {
+                        refusal = Some(error);
+                        None
+                    }
+                }
+            });
+            match (better, refusal) {
+                (Some(better), _) => (values, iteration) = better?,
+                (None, Some(refusal)) => return Err(refusal),
+                // No step lowers χ²: a minimum up to rounding, or one whose χ² is a misfit.
+                (None, None) => break,
+            }
+        }
+        Ok((values, iteration))
+    }
+
+    /// The fitter of the scene with `values`, those of `iteration`.
+    pub(super) fn fitter_at(&self, own: &[f64], values: &[f64], iteration: &Iteration) -> Result<ModalFitter> {
+        let scene = with_numbers(&self.scene, &self.parameters, values)?;
+        let mut estimator = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene)?)?;
+        estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
+        estimator.fitted_optics = self.fitted(&estimator.model.telescope, own, values, iteration);
+        Ok(estimator)
+    }
+
+    /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's values.
+    fn fitted(&self, telescope: &Telescope, own: &[f64], values: &[f64], last: &Iteration) -> Vec<FittedOptic> {
+        let mut fitted = Vec::new();
+        for (i, parameter) in self.parameters.iter().enumerate() {
+            if let &Parameter::Number(optic, key) = parameter {
+                let (sigma, identifiable_share) = (last.sigma[i], last.identifiable_share[i]);
+                let (scene, value) = (own[i], values[i]);
+                let number = Some(key);
+                fitted.push(FittedOptic { optic, number, segment: None, scene, value, sigma, identifiable_share });
+            }
+        }
+        let is_amplitude = |parameter: &Parameter| matches!(parameter, Parameter::Amplitude(_));
+        let shares = self.parameters.iter().zip(&last.identifiable_share);
+        // Of the last segment, which has no parameter, the least of the others.
+        let shares: Vec<f64> =
+            shares.filter(|(parameter, _)| is_amplitude(parameter)).map(|(_, share)| *share).collect();
+        let least = shares.iter().copied().fold(f64::INFINITY, f64::min);
+        let sigmas = parameter::amplitude_sigmas(telescope, &self.parameters, values, &last.covariance);
+        for (segment, (amplitude, sigma)) in telescope.amplitudes().iter().zip(sigmas).enumerate() {
+            fitted.push(FittedOptic {
+                optic: Optic::Reflectivities,
+                number: None,
+                segment: Some(segment),
+                scene: 1.0,
+                value: amplitude * amplitude,
+                sigma: 2.0 * amplitude * sigma,
+                identifiable_share: shares.get(segment).copied().unwrap_or(least),
+            });
+        }
+        fitted
+    }
+
+    fn describe(&self, values: &[f64]) -> String {
+        let each = self.parameters.iter().zip(values).map(|(parameter, value)| match parameter {
+            Parameter::Number(_, key) => format!("{key} = {value}"),
+            Parameter::Amplitude(segment) => format!("amplitude {segment} = {value:.3}"),
+        });
+        each.collect::<Vec<_>>().join(", ")
+    }
+
+    /// Karhunen-Loève basis of `scene`: another rotation of the pupil needs another basis.
+    fn basis_of(&self, scene: &Scene) -> Arc<SceneBasis> {
+        if same_basis(&self.scene, scene) { self.scene_basis.clone() } else { Arc::default() }
+    }
+
+    /// Modes of `scene`: another rotation of the pupil needs others.
+    fn modes_of(&self, scene: &Scene) -> Result<ModeSet> {
+        let (recipe, scene_basis) = (&self.recipe, self.basis_of(scene));
+        let make = || ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, &scene_basis);
+        if self.parameters.iter().any(|parameter| matches!(parameter, Parameter::Number(Optic::Rotation, _))) {
+            return make();
+        }
+        if let Some(modes) = self.modes.get() {
+            return Ok(modes.clone());
+        }
+        let modes = make()?;
+        Ok(self.modes.get_or_init(|| modes).clone())
+    }
+
+    /// Fitter of `scene` with these values of the parameters, whose modes are `modes`.
+    fn fitter(&self, scene: &Scene, values: &[f64], recipe: Recipe, modes: ModeSet) -> Result<ModalFitter> {
+        let telescope = telescope(scene, &self.parameters, values)?;
+        let model = Model::with_modes(scene, &recipe, self.native, telescope, modes)?;
+        Ok(ModalFitter { scene_basis: self.basis_of(scene), ..ModalFitter::from_model(scene, recipe, model)? })
+    }
+
+    /// Fits the images with these values of the parameters, and computes the next step.
+    pub(super) fn iterate(&self, values: &[f64]) -> Result<Iteration> {
+        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            return Err(Error::Interrupted("the optical parameters were not fitted yet".into()));
+        }
+        let scene = with_numbers(&self.scene, &self.parameters, values)?;
+        // Far from the right parameters restarts do not help.
+        let recipe = Recipe { restarts: 0, ..self.recipe.clone() };
+        let modes = self.modes_of(&scene)?;
+        let estimator = self.fitter(&scene, values, recipe, modes.clone())?;
+        let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
+        let fitted = estimator.fit_all(&mut chain, self.cube, None, self.cancel, &mut |_, _| {})?;
+        let perturbed = self.perturbed_models(&scene, &estimator, values, &modes)?;
+        let mut equations = NormalEquations::new(self.parameters.len(), estimator.model.optics.modes());
+        for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {
+            if minimum.reason.has_converged() && minimum.reduced_chi2().is_finite() {
+                equations.add(
+                    &estimator,
+                    image,
+                    minimum,
+                    &self.derivatives(&estimator, &perturbed, values, minimum),
+                )?;
+            }
+        }
+        equations.solve(&estimator)
+    }
+
+    /// For each parameter, the models one step below and one step above `values`, for the same modes and pixels.
+    fn perturbed_models(
+        &self,
+        scene: &Scene,
+        estimator: &ModalFitter,
+        values: &[f64],
+        modes: &ModeSet,
+    ) -> Result<Vec<Perturbed>> {
+        // Models a step apart may select other pixels by themselves: the crop is fixed.
+        let plan = estimator.model.preparation;
+        let [longest, reduced] = [plan.frame, plan.reduced].map(|side| side[0].max(side[1]));
+        let crop = (plan.pixels * longest).div_ceil(reduced).to_string();
+        let model = |number: usize, side: f64| -> Result<CpuChain<f64>> {
+            let mut values = values.to_vec();
+            values[number] += side * self.steps[number];
+            let perturbed = with_numbers(scene, &self.parameters, &values)?.with(&[("image.crop_pixels", &crop)])?;
+            let telescope = telescope(&perturbed, &self.parameters, &values)?;
+            let model = Model::with_modes(&perturbed, &self.recipe, self.native, telescope, modes.clone())?;
+            if model.preparation != plan {
+                return Err(Error::Internal("models a step apart have other pixels".into()));
+            }
+            Ok(CpuChain::new(model.optics))
+        };
+        let pair = |(number, parameter): (usize, &Parameter)| match *parameter {
+            Parameter::Number(..) => {
+                let (below, above) = rayon::join(|| model(number, -1.0), || model(number, 1.0));
+                Ok(Perturbed::Models(Box::new([below?, above?])))
+            }
+            Parameter::Amplitude(segment) => Ok(Perturbed::Amplitude(segment)),
+        };
+        self.parameters.iter().enumerate().map(pair).collect()
+    }
+
+    /// Derivatives of an image's electrons by the parameters, `[parameter, pixel]`, per unit.
+    fn derivatives(
+        &self,
+        estimator: &ModalFitter,
+        perturbed: &[Perturbed],
+        values: &[f64],
+        minimum: &Minimum,
+    ) -> Vec<Array1<f64>> {
+        let at = ArrayView1::from(&minimum.coefficients_nm);
+        let (chain, segments) = (&estimator.reference, estimator.model.optics.parts().weights.segments);
+        let mut scratch = chain.scratch();
+        let derivative = |(perturbed, (value, step)): (&Perturbed, (&f64, &f64))| {
+            let [below, above] = match perturbed {
+                Perturbed::Models(chains) => [0, 1].map(|side| Array1::from(chains[side].psf(at))),
+                // The model has the amplitudes `values`: those of the scratch memory are factors.
+                Perturbed::Amplitude(segment) => [-1.0, 1.0].map(|side| {
+                    let factor = |s: usize| if s == *segment { 1.0 + side * step / value } else { 1.0 };
+                    scratch.set_amplitudes((0..segments).map(factor));
+                    Array1::from(chain.psf_in(at, &mut scratch).to_vec())
+                }),
+            };
+            (above - below) * (minimum.flux_e / (2.0 * step))
+        };
+        perturbed.iter().zip(values.iter().zip(&self.steps)).map(derivative).collect()
+    }
+}
+
+/// What a step of a parameter changes.
+enum Perturbed {
+    /// The model: one step below and one step above.
+    Models(Box<[CpuChain<f64>; 2]>),
+    /// The amplitude of a segment.
+    Amplitude(usize),
+}
