@@ -124,7 +124,7 @@ fn a_failed_call_is_named_with_its_status_in_one_line() {
         let context = ocl::core::create_context(Some(&properties), &[id], None, None).unwrap();
         // SAFETY: there is no host pointer, and a buffer of no bytes is refused.
         let buffer = unsafe { ocl::core::create_buffer::<_, f32>(&context, ocl::core::MemFlags::READ_WRITE, 0, None) };
-        let message = discover::failed(buffer.err().expect("must be refused")).to_string();
+        let message = discover::failed(buffer.expect_err("must be refused")).to_string();
         assert!(message.contains("CL_INVALID_BUFFER_SIZE") && message.contains("clCreateBuffer"), "{message}");
         assert_eq!(message.lines().count(), 1, "{message}");
     }
