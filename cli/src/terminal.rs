@@ -8,6 +8,9 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+/// Exit status under --strict of an estimate with a warning, and of a check with a fault.
+pub const DOUBTFUL_STATUS: u8 = 3;
+
 /// Nothing shorter than this deserves a progress bar.
 const PATIENCE: Duration = Duration::from_secs(1);
 

@@ -355,8 +355,8 @@ fn taken(frames: &Input, calibration: &Calibration) -> Result<Images> {
     for ((k, y, x), value) in images_e.indexed_iter_mut() {
         match calibration.electrons(y, x, *value) {
             Some(electrons) => *value = electrons,
-            // Its value takes no part; one that is not finite stays so, because Images counts those.
-            None => bad[[k, y, x]] = true,
+            // Its value takes no part. One that is not finite, and that no map marks, stays so, because Images counts those.
+            None => bad[[k, y, x]] = value.is_finite() || calibration.is_bad(y, x),
         }
     }
     Ok(Images::with_bad(images_e, bad))

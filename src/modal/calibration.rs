@@ -76,6 +76,11 @@ impl Calibration {
         self.bad.iter().filter(|bad| **bad).count()
     }
 
+    /// Whether the pixel in row `y` and column `x` is bad in every frame.
+    pub fn is_bad(&self, y: usize, x: usize) -> bool {
+        self.bad[[y, x]]
+    }
+
     /// Electrons of the pixel in row `y` and column `x` that reads `raw`; `None` where it is bad.
     #[inline]
     pub fn electrons(&self, y: usize, x: usize, raw: f64) -> Option<f64> {

@@ -3,8 +3,7 @@
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
-use crate::terminal::Terminal;
-use crate::verbs::DOUBTFUL_STATUS;
+use crate::terminal::{DOUBTFUL_STATUS, Terminal};
 use cophase::Result;
 use cophase::pipeline::{Check, Control, Finding, Images, Poke, check};
 use cophase::scene::Scene;

@@ -34,9 +34,6 @@ use std::process::ExitCode;
 const ABOUT: &str = "Reads defocused images of a star; says what the mirror segments, and what the optics behind the \
 adaptive optics, do to the wavefront: in nm, with error bars.";
 
-/// Exit status under --strict of an estimate with a warning, and of a check with a fault.
-const DOUBTFUL_STATUS: u8 = 3;
-
 const FIRST_STEPS: &str = "First steps:
   cophase demo -o demo-output                   an image, an estimate, a picture
   cophase scene keck-artificial > scene.toml    a documented scene to edit
