@@ -70,7 +70,14 @@ unknown = frames;
 unknown(repmat(mask, [1 1 count])) = NaN;
 masked = f.estimate(unknown);
 assert(f.estimate(frames, 'mask', mask).coefficients_nm, masked.coefficients_nm);
-assert(f.estimate(frames, 'mask', repmat(mask, [1 1 count])).coefficients_nm, masked.coefficients_nm);
+known = f.estimate(frames, 'mask', repmat(mask, [1 1 count]));
+assert(known.coefficients_nm, masked.coefficients_nm);
+assert(~any(~cellfun(@isempty, strfind(known.warnings, 'not finite'))));
+single = false(72, 80, count);
+single(:, :, 1) = mask;
+unknown = frames;
+unknown(single) = NaN;
+assert(f.estimate(frames, 'mask', single).coefficients_nm, f.estimate(unknown).coefficients_nm);
 assert(~any(isnan(frames(:)))); % they are not changed
 assert(any(~cellfun(@isempty, strfind(masked.warnings, 'not finite'))));
 assert(numel(masked.warnings), masked.info.warnings);

@@ -67,19 +67,31 @@ static cophase_input slopes_of(const mxArray *value)
     return rows;
 }
 
-/* Frames with NaN where a mask of the same size is not 0. */
-static const mxArray *masked(const mxArray *frames, const mxArray *mask)
+/* Frames with a mask of the same size: one that is equal for all images becomes their map; of another the frames have NaN
+   where it is not 0, and there is no map. */
+static const mxArray *masked(const mxArray *frames, const mxArray **mask)
 {
+    const size_t count = mxGetNumberOfElements(frames), rows = mxGetDimensions(*mask)[0];
+    const size_t columns = mxGetDimensions(*mask)[1], pixels = rows * columns;
     mxArray *converted, *result, *bad;
     size_t i;
 
-    if (mxGetNumberOfElements(mask) != mxGetNumberOfElements(frames))
+    if (mxGetNumberOfElements(*mask) != count)
         fail(COPHASE_BAD_SHAPE, "mask has %lu elements: %lu, those of frames, or one map for all images is accepted",
-             (unsigned long)mxGetNumberOfElements(mask), (unsigned long)mxGetNumberOfElements(frames));
+             (unsigned long)mxGetNumberOfElements(*mask), (unsigned long)count);
+    mexCallMATLAB(1, &bad, 1, (mxArray **)mask, "double");
+    for (i = pixels; i < count && (mxGetPr(bad)[i] != 0.0) == (mxGetPr(bad)[i - pixels] != 0.0);)
+        i++;
+    if (i >= count) {
+        result = mxCreateDoubleMatrix(rows, columns, mxREAL);
+        memcpy(mxGetPr(result), mxGetPr(bad), pixels * sizeof(double));
+        *mask = result;
+        return frames;
+    }
+    *mask = NULL;
     mexCallMATLAB(1, &converted, 1, (mxArray **)&frames, "double");
     result = mxDuplicateArray(converted); /* which may share its memory with the frames */
-    mexCallMATLAB(1, &bad, 1, (mxArray **)&mask, "double");
-    for (i = 0; i < mxGetNumberOfElements(frames); i++)
+    for (i = 0; i < count; i++)
         if (mxGetPr(bad)[i] != 0.0)
             mxGetPr(result)[i] = mxGetNaN();
     return result;
@@ -93,10 +105,8 @@ enum { SLOPES_MAS, MASK, READ_NOISE_E, DARK, FLAT, GAIN_E, SATURATION, ESTIMATE_
 static void fill(channel *channel, const mxArray *frames, const mxArray **given)
 {
     channel->frames = input(frames, "frames");
-    if (given[MASK] != NULL && mxGetNumberOfDimensions(given[MASK]) > 2) {
-        channel->frames = input(masked(frames, given[MASK]), "frames");
-        given[MASK] = NULL;
-    }
+    if (given[MASK] != NULL && mxGetNumberOfDimensions(given[MASK]) > 2)
+        channel->frames = input(masked(frames, &given[MASK]), "frames");
     channel->calibration = calibration_of(given[DARK], given[FLAT], given[MASK], given[GAIN_E], given[SATURATION]);
     channel->options.struct_size = sizeof channel->options;
     channel->options.calibration = &channel->calibration;

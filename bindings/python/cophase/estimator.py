@@ -49,7 +49,10 @@ def _images(
             # C has one map of bad pixels for all images; in single images, values that are not finite are bad.
             if mask.shape != pixels.shape:
                 raise BadShapeError(f"mask has the shape {mask.shape}: {pixels.shape}, that of frames, is accepted")
-            pixels, mask = np.where(mask != 0, np.nan, pixels), None
+            if len(mask) > 0 and np.array_equal(mask != 0, np.broadcast_to(mask[0] != 0, mask.shape)):
+                mask = mask[0]
+            else:
+                pixels, mask = np.where(mask != 0, np.nan, pixels), None
     return pixels, _Options(calibration(bad=mask, gain_e=gain_e, **calibrations), read_noise_e)
 
 

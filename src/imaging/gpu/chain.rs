@@ -16,9 +16,8 @@ use crate::{Error, Result};
 /// Images folded on the host at a time: enough for every core, and little memory compared with the device's.
 const FOLDED_AT_ONCE: usize = 32;
 
-/// Images from which their inputs, 1 µs for each, are computed on all cores. Waking 16 of them takes some 0.1 ms: with an H200 the evaluation of
-/// 2,000 images takes 6.4 ms in place of 9.2 by it, and that of 192 images no less than on one core.
-const SHARED_FROM: usize = 1024;
+/// Least images of which a core computes the inputs, 1 µs for each: waking another core takes some 0.1 ms.
+const INPUTS_AT_ONCE: usize = 256;
 
 /// The chain on a device, with memory for a number of images. It cannot be shared between threads, because the arguments of
 /// its kernels stay bound between launches.
@@ -362,13 +361,9 @@ impl GpuChain {
         fill: impl Fn(&mut [f64], &[f64]) + Sync,
     ) -> Vec<f64> {
         let mut filled = vec![0.0; images * numbers];
-        let (each, modes) = (numbers.max(1), self.modes().max(1));
-        if images < SHARED_FROM {
-            filled.chunks_exact_mut(each).zip(coefficients.chunks_exact(modes)).for_each(|(to, from)| fill(to, from));
-        } else {
-            let (to, from) = (filled.par_chunks_exact_mut(each), coefficients.par_chunks_exact(modes));
-            to.zip(from).with_min_len(SHARED_FROM / 16).for_each(|(to, from)| fill(to, from));
-        }
+        let to = filled.par_chunks_exact_mut(numbers.max(1));
+        let from = coefficients.par_chunks_exact(self.modes().max(1));
+        to.zip(from).with_min_len(INPUTS_AT_ONCE).for_each(|(to, from)| fill(to, from));
         filled
     }
 }

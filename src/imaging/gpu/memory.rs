@@ -10,7 +10,8 @@ use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 const TILE_BYTES_PER_CORE: usize = 4 << 20;
 /// Bytes of the arrays of a tile on a GPU: enough images to use all of it, and a small part of its memory.
 const TILE_BYTES_GPU: usize = 256 << 20;
-/// Work-items that share a sum on a GPU: as many as run in lockstep.
+/// Work-items that share a sum on a GPU, as many as run in lockstep: the work-groups of the pixels' kernels in `device/table.rs`, `SOLVERS` of
+/// `pixels.cl`.
 const LOCKSTEP: usize = 32;
 /// Work-items of `focus` per core: so many that every core has at least one, however they are distributed.
 const WORKERS_PER_CORE: usize = 3;
