@@ -1,7 +1,7 @@
 //! FITS file of a run: images, truth, telemetry.
 
 use super::recorder::{Shot, Summary};
-use super::sensor::SlopeFormat;
+use super::sensor::{MOVED_REFERENCE, SlopeFormat};
 use super::simulator::Simulator;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::source::file;
@@ -17,6 +17,7 @@ use std::path::Path;
 ///   `wavefront_sensor.slope_order` and `slope_unit_mas` where the scene has these, as the rows of `INTERACTION`.
 /// - `COMMANDS`: commands at the middle of each exposure, `[image, actuator]`, nm.
 /// - `SLOPES_MEAN`: slopes averaged over each exposure.
+/// - `MOVED_REFERENCE`: by how much corrections have moved the reference slopes, to which those of the file are relative, a row; where they have.
 /// - `SHOTS`: table of time and residual for each image.
 /// - `SUBAPERTURES`, `ACTUATORS`: tables of those in use.
 /// - `INTERACTION`: interaction matrix, `[slope, actuator]`, mas per nm.
@@ -60,6 +61,10 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
         None => return Err(Error::Internal("a loop without a sensor".into())),
     };
     channels.iter().try_for_each(|(number, shots)| telemetry(&mut file, *number, shots, &format))?;
+    if let Some(moved_mas) = simulator.moved_reference_mas() {
+        let row = format.measured(moved_mas.insert_axis(Axis(0)))?;
+        file.image(MOVED_REFERENCE, &row, Pixel::F64, format.unit())?;
+    }
     system(&mut file, simulator, &format)?;
     file.text("SCENE", scene.text())?;
     file.finish()

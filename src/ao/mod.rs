@@ -52,8 +52,8 @@ pub use profile::{Profile, Stage};
 pub use recorder::{Progress, Recorder, Shot, Summary};
 #[cfg(test)]
 pub(crate) use schedule::Schedule;
-pub(crate) use sensor::reference_slopes;
 pub use sensor::{GuideStar, Lenslets, Sensor, SlopeFormat};
+pub(crate) use sensor::{MOVED_REFERENCE, moved_reference, reference_slopes};
 pub(crate) use sensor::{OTHER_SLOPE_ORDERS, slope_sources};
 pub use simulator::Simulator;
 pub use stepper::Stepper;

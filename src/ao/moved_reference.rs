@@ -7,7 +7,7 @@ use crate::scene::Scene;
 use crate::source::Truth;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::Array1;
+use ndarray::{Array1, ArrayView1};
 
 /// How long the mirror's commands are averaged after the loop has settled, s. Only the difference of two loops behind the same turbulence
 /// counts, in which the turbulence cancels; but the gain of each spot changes with it, by which reference slopes of 72 nm of NCPA
@@ -45,6 +45,11 @@ impl Simulator {
         Ok(simulator)
     }
 
+    /// By how much corrections have moved the reference slopes, `[all x, all y]`, mas; `None` where they have not.
+    pub fn moved_reference_mas(&self) -> Option<ArrayView1<'_, f64>> {
+        Some(ArrayView1::from(&self.moved_reference_mas)).filter(|moved_mas| !moved_mas.is_empty())
+    }
+
     fn move_reference(&mut self, moved_mas: &[f64]) -> Result<()> {
         let (given, needed) = (moved_mas.len(), self.correction.sensor.slopes());
         if given != needed {
@@ -53,6 +58,7 @@ impl Simulator {
         let reference_mas = &mut self.correction.reference_mas;
         reference_mas.resize(needed, 0.0);
         reference_mas.iter_mut().zip(moved_mas).for_each(|(reference, moved)| *reference += *moved as f32);
+        self.moved_reference_mas = moved_mas.to_vec();
         Ok(())
     }
 

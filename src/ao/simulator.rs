@@ -47,6 +47,8 @@ pub struct Simulator {
     truth: Truth,
     /// What a static shape of the mirror leaves of `truth` on the camera's path; `None` without one.
     pub(super) seen_truth: Option<Truth>,
+    /// By how much corrections have moved the reference slopes, mas; empty where they have not.
+    pub(super) moved_reference_mas: Vec<f64>,
     mask: Vec<bool>,
     interaction: Array2<f64>,
     law: ControlLaw,
@@ -166,6 +168,7 @@ impl Simulator {
             channels,
             truth,
             seen_truth: None,
+            moved_reference_mas: Vec::new(),
             mask,
             interaction,
             law,

@@ -32,6 +32,21 @@ pub struct SlopeInformation {
     pub model_error_mas: f64,
 }
 
+impl SlopeInformation {
+    /// The same estimate with an error along `shape_nm`, one standard deviation, that is independent of those it has: v·vᵀ is added to the covariance C. By
+    /// Sherman and Morrison (1950) the information I = C⁻¹ loses Iv·vᵀI/(1 + vᵀIv).
+    pub(super) fn with_uncertainty_along(self, shape_nm: ArrayView1<f64>) -> Self {
+        let row = self.information.dot(&shape_nm);
+        let shrink = 1.0 / (1.0 + shape_nm.dot(&row));
+        let column = row.view().insert_axis(Axis(1));
+        Self {
+            information: &self.information - column.dot(&column.t()) * shrink,
+            right_side: &self.right_side - &row * (shrink * shape_nm.dot(&self.right_side)),
+            ..self
+        }
+    }
+}
+
 /// Linear response of a sensor's slopes to modes.
 pub(super) struct SensorResponse {
     /// Slopes for 1 nm of each mode, `[mode, slope]`, mas.
@@ -140,6 +155,27 @@ mod tests {
         // That of one image: √400 times the noise's 0.079 nm.
         assert!((sigma_nm[0] / 1.58 - 1.0).abs() < 0.3, "{sigma_nm:?}");
         assert!((found_nm[0] - 12.0).abs() < 3.0 * sigma_nm[0], "{found_nm}");
+    }
+
+    #[test]
+    fn an_uncertainty_along_a_shape_adds_to_the_covariance_and_leaves_the_estimate() {
+        let response = SensorResponse::new(slopes_mas_per_nm());
+        let slopes = response.information(differences(40, [12.0, -7.0, 3.0], 1.0, 0.0).view(), &[0.0; 3]).unwrap();
+        let covariance =
+            |slopes: &SlopeInformation| crate::linear_algebra::SpdInverse::new(&slopes.information).unwrap().inverse;
+        let shape_nm = ndarray::arr1(&[2.0, -1.0, 0.5]);
+        let wider = slopes.clone().with_uncertainty_along(shape_nm.view());
+        let (before, after) = (covariance(&slopes), covariance(&wider));
+        // The third mode is known a thousand times less, so that inverses have errors of 10⁶ roundings.
+        let (found_nm, still_nm) = (before.dot(&slopes.right_side), after.dot(&wider.right_side));
+        for ((i, j), value) in after.indexed_iter() {
+            let expected = before[[i, j]] + shape_nm[i] * shape_nm[j];
+            assert!(
+                (value - expected).abs() < 1e-8 * before[[i, i]].max(before[[j, j]]),
+                "{i} {j}: {value} {expected}"
+            );
+        }
+        assert!((found_nm - still_nm).iter().all(|nm| nm.abs() < 1e-6));
     }
 
     #[test]

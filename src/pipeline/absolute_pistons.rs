@@ -149,6 +149,7 @@ impl Electrons<'_> {
             bad: std::borrow::Cow::Owned(self.bad.slice(first).to_owned()),
             read_noise_e: self.read_noise_e,
             slopes_mas: None,
+            moved_reference_mas: None,
         }
     }
 }

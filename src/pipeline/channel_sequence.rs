@@ -27,7 +27,11 @@ pub(super) fn estimate(
     let is_simultaneous = scene.image.simultaneous;
     let (slopes_mas, ignored) = telemetry(&with, is_simultaneous)?;
     let slopes_mas = slopes_mas.as_ref();
-    let found = map::estimate(scene, Sequence { channels: &sequences, is_simultaneous, slopes_mas, policy, control })?;
+    let channels = &sequences;
+    // One sensor measures the slopes of all channels.
+    let moved_reference_mas = with.iter().find_map(|channel| channel.images.moved_reference_mas);
+    let found =
+        map::estimate(scene, Sequence { channels, is_simultaneous, slopes_mas, moved_reference_mas, policy, control })?;
     let left_out = in_focus.iter().map(|channel| {
         format!(
             "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: a \

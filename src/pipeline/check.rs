@@ -115,6 +115,7 @@ fn selected(images: &Electrons) -> Electrons<'static> {
         bad: Cow::Owned(images.bad.select(Axis(0), &at)),
         read_noise_e: images.read_noise_e,
         slopes_mas: None,
+        moved_reference_mas: None,
     }
 }
 

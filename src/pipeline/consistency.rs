@@ -8,7 +8,7 @@ use super::instrument;
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 use crate::scene::{Method, Scene};
 use crate::{Error, Result, source};
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array1, Array2, Array3, Axis};
 use std::borrow::Cow;
 
 /// Key of the gain.
@@ -24,6 +24,8 @@ pub(super) struct Electrons<'a> {
     pub(super) read_noise_e: Option<f64>,
     /// Telemetry of a MAP estimate.
     pub(super) slopes_mas: Option<&'a Array2<f64>>,
+    /// [`Images::moved_reference_mas`].
+    pub(super) moved_reference_mas: Option<&'a Array1<f64>>,
 }
 
 impl Electrons<'_> {
@@ -42,6 +44,7 @@ impl Electrons<'_> {
             bad: Cow::Owned(bad.insert_axis(Axis(0))),
             read_noise_e: read_noise_e.map(|noise_e| noise_e * (which.len() as f64).sqrt()),
             slopes_mas: None,
+            moved_reference_mas: None,
         }
     }
 }
@@ -96,8 +99,13 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
         Some(gain) => Cow::Owned(&images.images_e * gain),
         None => Cow::Borrowed(&images.images_e),
     };
-    let electrons =
-        Electrons { images_e, bad: Cow::Borrowed(&images.bad), read_noise_e, slopes_mas: images.slopes_mas.as_ref() };
+    let electrons = Electrons {
+        images_e,
+        bad: Cow::Borrowed(&images.bad),
+        read_noise_e,
+        slopes_mas: images.slopes_mas.as_ref(),
+        moved_reference_mas: images.moved_reference_mas.as_ref(),
+    };
     let Comparison { scene, is_changed, remarks, contradictions, .. } = comparison;
     Ok(Consistent { images: electrons, scene, is_changed, remarks, contradictions })
 }

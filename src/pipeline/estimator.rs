@@ -96,10 +96,12 @@ impl Estimator {
         let found = match scene.estimate.method {
             Method::FullPhase => {
                 let channels = [SequenceChannel { scene: &scene, images: &electrons }];
-                let slopes_mas = electrons.slopes_mas;
+                let Electrons { slopes_mas, moved_reference_mas, .. } = electrons;
+                let is_simultaneous = false;
+                let channels = &channels;
                 map::estimate(
                     &scene,
-                    Sequence { channels: &channels, is_simultaneous: false, slopes_mas, policy, control },
+                    Sequence { channels, is_simultaneous, slopes_mas, moved_reference_mas, policy, control },
                 )
             }
             Method::Modal | Method::Auto => {

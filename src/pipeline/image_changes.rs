@@ -102,6 +102,7 @@ mod tests {
             bad: Cow::Borrowed(bad),
             read_noise_e: None,
             slopes_mas: None,
+            moved_reference_mas: None,
         };
         image_changes(&scene(), &electrons)
     }

@@ -1,12 +1,12 @@
 //! Images of an estimate, with bad pixels, read noise, telemetry and truth.
 
-use crate::ao::AOT_SCENE;
+use crate::ao::{AOT_SCENE, MOVED_REFERENCE};
 use crate::io::aot::MatchedSlopes;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
 use crate::scene::Scene;
 use crate::source::{self, SourceImages};
 use crate::{Error, Result};
-use ndarray::{Array2, Array3, Axis, s};
+use ndarray::{Array1, Array2, Array3, Axis, s};
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -22,6 +22,9 @@ pub struct Images {
     /// Slopes of the wavefront sensor, mean over each exposure, `[image, slope]`, mas: along x for every subaperture, then
     /// along y. A MAP estimate uses them; `None` without telemetry.
     pub slopes_mas: Option<Array2<f64>>,
+    /// By how much corrections have moved the reference slopes, to which [`Images::slopes_mas`] are relative, in their order and unit; `None` for what the
+    /// scene's `wavefront_sensor.moved_reference_file` says.
+    pub moved_reference_mas: Option<Array1<f64>>,
     /// Aberrations that simulated images were made with.
     pub truth: Option<TruthMaps>,
     /// Unit of the pixels: those of an array without a unit are electrons, unless the scene has `image.gain_e_per_adu`.
@@ -89,6 +92,7 @@ impl Images {
             bad,
             read_noise_e: None,
             slopes_mas: None,
+            moved_reference_mas: None,
             truth: None,
             unit: PixelUnit::Unstated,
             facts: Vec::new(),
@@ -106,8 +110,8 @@ impl Images {
     }
 
     /// Reads a FITS file, which may be one of AOT ([`io::aot`]): images with their unit, `BADPIX` or the file `mask`, what the cards state of the instrument, the
-    /// scene (`SCENE`), the telemetry (`SLOPES_MEAN`, else `SLOPES`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each where
-    /// the file has it.
+    /// scene (`SCENE`), the telemetry (`SLOPES_MEAN`, else `SLOPES`, and `MOVED_REFERENCE`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each
+    /// where the file has it.
     ///
     /// # Errors
     /// Those of [`io::read_images`]; [`Error::File`] for a file with the images of several channels: [`Images::read_channels`].
@@ -139,6 +143,8 @@ impl Images {
         let scene = embedded_scene(path).ok().flatten();
         let truth = TruthMaps::read(path)?;
         let mut file = FitsReader::open(path)?;
+        let has_moved = file.is_whole() && file.has(MOVED_REFERENCE);
+        let moved = has_moved.then(|| file.row(Some(MOVED_REFERENCE)).map(Array1::from)).transpose()?;
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
             let found = slopes(&mut file, &read)?;
             let mut images = Self::with_bad(read.data, read.bad);
@@ -147,6 +153,7 @@ impl Images {
             (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);
             images.scene = scene.as_ref().and_then(|scene| own_scene(scene, images.channel.as_deref()));
             (images.slopes_mas, images.truth) = (found.slopes, truth.clone());
+            images.moved_reference_mas.clone_from(&moved);
             Ok(images)
         });
         each.collect()
@@ -218,6 +225,7 @@ impl Images {
             images_e: self.images_e.slice(s![part.clone(), .., ..]).to_owned(),
             bad: self.bad.slice(s![part.clone(), .., ..]).to_owned(),
             slopes_mas: self.slopes_mas.as_ref().filter(|slopes| number < slopes.nrows()).map(row),
+            moved_reference_mas: self.moved_reference_mas.clone(),
             read_noise_e: self.read_noise_e,
             truth: self.truth.clone(),
             unit: self.unit.clone(),

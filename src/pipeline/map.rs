@@ -8,16 +8,16 @@ use super::outcome::ImageOutcome;
 use super::sequence::{self, SequenceResult};
 use super::sequence_channel::Sequence;
 use super::warnings;
-use crate::ao::{Lenslets, SlopeFormat, reference_slopes, sensor_pupil};
+use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
 use crate::modal::ImageStatus;
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};
-use crate::scene::{AoKnowledge, Scene, Telemetry};
+use crate::scene::{AoKnowledge, Scene, SensorScene, Telemetry};
 use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::statistics::upper_median;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::Array2;
+use ndarray::{Array1, Array2, Axis};
 use std::time::Instant;
 
 /// Largest reduced χ² of images that the model explains except for turbulence finer than its samples: with a bright star 1.4 to
@@ -43,9 +43,25 @@ fn slopes_in_mas(scene: &Scene, measured: &Array2<f64>) -> Result<Option<Array2<
         let is_plain = seen.is_none() && sensing.slope_unit_mas == 1.0;
         return Ok((!is_plain).then(|| measured * sensing.slope_unit_mas));
     }
+    slope_format(scene, sensing)?.expected_mas(measured.view()).map(Some)
+}
+
+fn slope_format(scene: &Scene, sensing: &SensorScene) -> Result<SlopeFormat> {
     let pupil = sensor_pupil(scene, sensing, &Telescope::new(scene)?, 0)?;
-    let lenslets = Lenslets::new(sensing, &pupil, scene.directory())?;
-    SlopeFormat::new(sensing, &lenslets)?.expected_mas(measured.view()).map(Some)
+    SlopeFormat::new(sensing, &Lenslets::new(sensing, &pupil, scene.directory())?)
+}
+
+/// By how much corrections have moved the reference slopes, mas and in the order of the scene's sensor: what its file says, else what the images'
+/// file does, `given`.
+fn moved_reference_mas(scene: &Scene, given: Option<&Array1<f64>>) -> Result<Option<Array1<f64>>> {
+    let Some(sensing) = &scene.wavefront_sensor else { return Ok(None) };
+    if given.is_none() && sensing.moved_reference_file.is_none() {
+        return Ok(None);
+    }
+    let format = slope_format(scene, sensing)?;
+    let named = moved_reference(scene, sensing, &format)?;
+    let given = given.map(|row| format.expected_mas(row.view().insert_axis(Axis(0)))).transpose()?;
+    Ok(named.or_else(|| given.map(|rows| rows.row(0).to_owned())))
 }
 
 /// Estimates the static errors behind the images of `sequence`, whose slopes are used where its scene says so. `scene` is that of the
@@ -61,6 +77,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let slopes_mas = sequence.slopes_mas.filter(|_| uses_telemetry);
     let converted_mas = slopes_mas.map(|measured| slopes_in_mas(scene, measured)).transpose()?.flatten();
     let slopes_mas = converted_mas.as_ref().or(slopes_mas);
+    let moved_mas = slopes_mas.map(|_| moved_reference_mas(scene, sequence.moved_reference_mas)).transpose()?.flatten();
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != sequence.exposures()) {
         return Err(Error::Shape(format!(
             "the telemetry holds {} sets of slopes for {} images: one each is needed",
@@ -71,7 +88,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let (policy, control) = (sequence.policy, sequence.control);
     control.enter(Stage::Retrieving, count);
     let started = Instant::now();
-    let sequence = Sequence { slopes_mas, ..sequence };
+    let sequence = Sequence { slopes_mas, moved_reference_mas: moved_mas.as_ref(), ..sequence };
     let found = sequence::estimate(&sequence)?;
     let seconds = started.elapsed().as_secs_f64();
     control.check("the images were read, nothing was written")?;

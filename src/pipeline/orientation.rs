@@ -111,6 +111,7 @@ fn turned(images: &Images) -> Images {
         images_e: Array3::from_shape_fn(shape, |(i, v, u)| at(i, v, u).map_or(0.0, |at| images.images_e[at])),
         bad: Array3::from_shape_fn(shape, |(i, v, u)| at(i, v, u).is_none_or(|at| images.bad[at])),
         slopes_mas: None,
+        moved_reference_mas: None,
         truth: None,
         ..images.clone()
     }

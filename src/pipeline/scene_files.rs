@@ -39,6 +39,10 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
             scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.reference_file.as_ref()),
         ),
         (
+            "wavefront_sensor.moved_reference_file",
+            scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.moved_reference_file.as_ref()),
+        ),
+        (
             "wavefront_sensor.subaperture_file",
             scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),
         ),

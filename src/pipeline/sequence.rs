@@ -205,7 +205,8 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let slopes_of_exposures = used_slopes_mas.cloned();
     let mut source =
         SequenceRetrieval::new(sequences, sequence.is_simultaneous, &prior, slopes_of_exposures, cancel, &watch)?
-            .about(start);
+            .about(start)
+            .with_moved_reference(sequence.moved_reference_mas.cloned());
     // The first iteration's wavefronts are retrieved without the slopes.
     let telemetry = match used_slopes_mas {
         Some(slopes_mas) => {

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::modal::{CleanedImages, Cube, reject_outliers};
 use crate::scene::Scene;
 use crate::statics::SequenceProgress;
-use ndarray::Array2;
+use ndarray::{Array1, Array2};
 
 /// Images of one channel behind adaptive optics.
 pub(super) struct SequenceChannel<'a> {
@@ -37,6 +37,8 @@ pub(super) struct Sequence<'a> {
     pub(super) is_simultaneous: bool,
     /// Slopes of each exposure, where they are used.
     pub(super) slopes_mas: Option<&'a Array2<f64>>,
+    /// By how much corrections have moved the reference slopes, where that is known.
+    pub(super) moved_reference_mas: Option<&'a Array1<f64>>,
     pub(super) policy: &'a Policy,
     pub(super) control: &'a Control,
 }

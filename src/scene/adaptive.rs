@@ -135,6 +135,10 @@ section! {
         /// FITS row of the reference slopes, in the order and unit of slope_order and slope_unit_mas, about which the loop is closed: the
         /// slopes of the telemetry are those seen less these.
         reference_file: Option<PathBuf>, ANY, unset("0");
+        /// FITS row, in that order and unit, or a file of 'cophase estimate --commands': by how much corrections of the NCPA have moved the
+        /// reference slopes, to which the telemetry is relative. Error bars then have how well the mirror's shape is known.
+        /// Estimates only.
+        moved_reference_file: Option<PathBuf>, ANY, unset("0");
         /// Wavelength of the sensor.
         wavelength_nm: f64, above(0.0, 1e6), default(640.0);
         /// Photons per second and m² of a star of magnitude 0 (default: 4.01e12 / 368, the R band). Simulation only.

@@ -58,6 +58,8 @@ pub(super) struct StaticsEstimator<'a> {
     segments_at_kept: Array2<f64>,
     loop_response: Option<SampledLoopResponse>,
     sample_error_nm: f64,
+    /// [`WavefrontSource::moved_reference_mas`].
+    moved_reference_mas: Option<Array1<f64>>,
     cancel: Option<&'a CancelFlag>,
     /// What the next iteration in the same modes begins with.
     last: Option<LastEstimate>,
@@ -97,6 +99,7 @@ impl<'a> StaticsEstimator<'a> {
             samples,
             loop_response,
             sample_error_nm: settings.sample_error_nm,
+            moved_reference_mas: source.moved_reference_mas().cloned(),
             cancel,
             last: None,
         })
@@ -192,7 +195,8 @@ impl<'a> StaticsEstimator<'a> {
         };
         let mut sensor = match sensor {
             Some(sensor) => sensor,
-            None => SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?,
+            None => SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?
+                .with_moved_reference(self.moved_reference_mas.clone())?,
         };
         let errors = self.estimate_with_slopes((&mut model, &mut sensor), modes, images, slopes_mas, last)?;
         let sensor = Some(sensor);

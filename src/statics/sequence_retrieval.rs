@@ -7,7 +7,7 @@ use crate::retrieval::{
     IlluminatedSamples, RadialPsd, RetrievalReport, RetrievedWavefronts, Retriever, StaticWavefront,
 };
 use crate::{Error, Result};
-use ndarray::{Array2, Axis, concatenate};
+use ndarray::{Array1, Array2, Axis, concatenate};
 
 /// Progress of an iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +37,8 @@ pub struct SequenceRetrieval<'a> {
     prior: &'a RadialPsd,
     samples: IlluminatedSamples,
     slopes_mas: Option<Array2<f64>>,
+    /// By how much corrections have moved the reference slopes, mas.
+    moved_reference_mas: Option<Array1<f64>>,
     cancel: Option<&'a CancelFlag>,
     watch: &'a (dyn Fn(SequenceProgress) + Sync),
     /// Static wavefront about which the first wavefronts are retrieved.
@@ -95,6 +97,7 @@ impl<'a> SequenceRetrieval<'a> {
             is_simultaneous,
             prior,
             slopes_mas,
+            moved_reference_mas: None,
             cancel,
             watch,
             start: None,
@@ -107,6 +110,11 @@ impl<'a> SequenceRetrieval<'a> {
     /// This sequence, whose first wavefronts are retrieved about `start`.
     pub fn about(self, start: Option<StaticWavefront>) -> Self {
         Self { start, ..self }
+    }
+
+    /// This sequence, whose slopes are relative to a reference that corrections have moved by `moved_mas`, mas for each slope.
+    pub fn with_moved_reference(self, moved_mas: Option<Array1<f64>>) -> Self {
+        Self { moved_reference_mas: moved_mas, ..self }
     }
 
     /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes, `[exposure, sample]`, nm; NaN for
@@ -122,10 +130,13 @@ impl<'a> SequenceRetrieval<'a> {
         Ok(&self.first.insert(first).wavefront_nm)
     }
 
-    /// Divides all slopes by `gain`.
+    /// Divides all slopes, and the move of the reference, by `gain`.
     pub fn divide_slopes(&mut self, gain: f64) {
         if let Some(slopes_mas) = &mut self.slopes_mas {
             slopes_mas.mapv_inplace(|mas| mas / gain);
+        }
+        if let Some(moved_mas) = &mut self.moved_reference_mas {
+            moved_mas.mapv_inplace(|mas| mas / gain);
         }
     }
 
@@ -200,6 +211,10 @@ impl WavefrontSource for SequenceRetrieval<'_> {
 
     fn prior(&self) -> Option<&RadialPsd> {
         Some(self.prior)
+    }
+
+    fn moved_reference_mas(&self) -> Option<&Array1<f64>> {
+        self.moved_reference_mas.as_ref()
     }
 
     fn start_pistons_nm(&self) -> Option<&[f64]> {

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
-use ndarray::Array2;
+use ndarray::{Array1, Array2};
 
 /// Retrieved wavefronts of a sequence, with the telemetry of each exposure.
 #[derive(Debug, Clone)]
@@ -28,6 +28,11 @@ pub trait WavefrontSource {
     /// Pistons of the static wavefront about which the first wavefronts are retrieved, nm, where they are beyond those to which the
     /// loop responds linearly.
     fn start_pistons_nm(&self) -> Option<&[f64]> {
+        None
+    }
+
+    /// By how much corrections have moved the reference slopes, to which those of the telemetry are relative, mas, where that is known.
+    fn moved_reference_mas(&self) -> Option<&Array1<f64>> {
         None
     }
 

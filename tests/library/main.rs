@@ -19,6 +19,7 @@ mod measured_mirror;
 mod modal;
 mod model_selection;
 mod modes;
+mod moved_reference;
 mod night;
 mod night_channels;
 mod observation;

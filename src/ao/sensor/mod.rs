@@ -17,7 +17,7 @@ mod slope_order;
 pub use lenslets::{Lenslets, MAS_PER_NM_M};
 pub use light::GuideStar;
 pub(in crate::ao) use reference::reference_mas;
-pub(crate) use reference::reference_slopes;
+pub(crate) use reference::{MOVED_REFERENCE, moved_reference, reference_slopes};
 pub use slope_order::SlopeFormat;
 pub(crate) use slope_order::{OTHER_SLOPE_ORDERS, slope_sources};
 

@@ -1,0 +1,64 @@
+//! Full-phase estimates behind a loop whose reference slopes a correction has moved: the telemetry is relative to them.
+
+use crate::full_phase::sky;
+use cophase::ao::{self, Progress, Shot};
+use cophase::pipeline::{Estimate, Estimator, Images, SentCorrections};
+use cophase::scene::Scene;
+use std::path::Path;
+
+/// Exposures of `scene` after the corrections `sent`, read from a file.
+fn images(scene: &Scene, sent: &[SentCorrections], path: &Path) -> Images {
+    let mut simulator = SentCorrections::system(sent, scene).unwrap();
+    let mut shots: Vec<Shot> = Vec::new();
+    let summary = simulator.run(&mut shots, &mut Progress { watch: None, cancel: None }).unwrap();
+    ao::write(path, &simulator, &shots, &summary).unwrap();
+    Images::read(path, None).unwrap()
+}
+
+fn read(scene: &Scene, images: &Images) -> Estimate {
+    Estimator::new(scene).unwrap().estimate(images).unwrap()
+}
+
+#[test]
+fn moved_reference_slopes_count_from_a_file_of_images_and_from_the_corrections_that_were_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let settings = [
+        ("estimate.method", "full-phase"),
+        ("estimate.model", "scene"),
+        ("commands.deadband_sigma", "0"),
+        ("image.count", "4"),
+    ];
+    let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
+    let before = images(&scene, &[], &path("0.fits"));
+    assert!(before.moved_reference_mas.is_none());
+    let corrections = read(&scene, &before).corrections(None).unwrap();
+    corrections.write(&path("c.fits")).unwrap();
+
+    let after = images(&scene, &[SentCorrections::read(&path("c.fits")).unwrap()], &path("1.fits"));
+    let moved_mas = after.moved_reference_mas.clone().unwrap();
+    assert_eq!(moved_mas.to_vec(), corrections.slopes_mas);
+    let known = read(&scene, &after);
+    // Images that come as arrays, whose scene names the corrections, or the row in a file of images.
+    let array = Images { moved_reference_mas: None, ..after.clone() };
+    for file in [path("c.fits").display().to_string(), format!("{}[MOVED_REFERENCE]", path("1.fits").display())] {
+        let named = scene.with(&[("wavefront_sensor.moved_reference_file", &file)]).unwrap();
+        let named = read(&named, &array);
+        assert_eq!(named.coefficients_nm, known.coefficients_nm, "{file}");
+        assert_eq!(named.covariance_nm2, known.covariance_nm2, "{file}");
+    }
+    assert_ne!(read(&scene, &array).covariance_nm2, known.covariance_nm2);
+}
+
+#[test]
+fn moved_reference_slopes_of_another_sensor_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
+    let given = images(&scene, &[], &folder.path().join("0.fits"));
+    let short = Images { moved_reference_mas: Some(ndarray::Array1::zeros(7)), ..given };
+    let error = Estimator::new(&scene).unwrap().estimate(&short).err().unwrap().to_string();
+    assert!(error.contains("7"), "{error}");
+    let missing = scene.with(&[("wavefront_sensor.moved_reference_file", "none.fits")]).unwrap();
+    let error = Estimator::new(&missing).err().unwrap().to_string();
+    assert!(error.contains("none.fits") && error.contains("moved_reference_file"), "{error}");
+}
