@@ -126,16 +126,20 @@ impl SensorModel {
     /// This sensor in a loop whose reference slopes corrections of the NCPA have moved by `moved_mas`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of slopes.
+    /// [`Error::Shape`] for another number of slopes, [`Error::Value`] for one that is not finite.
     pub fn with_moved_reference(self, moved_mas: Option<Array1<f64>>) -> Result<Self> {
-        match &moved_mas {
-            Some(moved_mas) if moved_mas.len() != self.slopes() => Err(Error::Shape(format!(
-                "reference slopes that were moved by {} values were given: {} are needed",
-                moved_mas.len(),
-                self.slopes()
-            ))),
-            _ => Ok(Self { moved_reference_mas: moved_mas, ..self }),
+        let (given, needed) = (moved_mas.iter().flatten(), self.slopes());
+        if let Some((slope, mas)) = given.clone().enumerate().find(|(_, mas)| !mas.is_finite()) {
+            return Err(Error::Value(format!(
+                "reference slope {} was moved by {mas} mas: a finite number is needed",
+                slope + 1
+            )));
         }
+        if moved_mas.is_some() && given.clone().count() != needed {
+            let given = given.count();
+            return Err(Error::Shape(format!("{given} moves of reference slopes were given: {needed} are needed")));
+        }
+        Ok(Self { moved_reference_mas: moved_mas, ..self })
     }
 
     /// Number of slopes, `[all x, all y]`.

@@ -4,6 +4,7 @@ use crate::full_phase::sky;
 use cophase::ao::{self, Progress, Shot};
 use cophase::pipeline::{Estimate, Estimator, Images, SentCorrections};
 use cophase::scene::Scene;
+use ndarray::Array1;
 use std::path::Path;
 
 /// Exposures of `scene` after the corrections `sent`, read from a file.
@@ -55,9 +56,14 @@ fn moved_reference_slopes_of_another_sensor_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let scene = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
     let given = images(&scene, &[], &folder.path().join("0.fits"));
-    let short = Images { moved_reference_mas: Some(ndarray::Array1::zeros(7)), ..given };
-    let error = Estimator::new(&scene).unwrap().estimate(&short).err().unwrap().to_string();
-    assert!(error.contains("7"), "{error}");
+    let slopes = given.slopes_mas.as_ref().unwrap().ncols();
+    let refused = |moved: Array1<f64>, words: &str| {
+        let images = Images { moved_reference_mas: Some(moved), ..given.clone() };
+        let error = Estimator::new(&scene).unwrap().estimate(&images).err().unwrap().to_string();
+        assert!(error.contains(words), "{error}");
+    };
+    refused(Array1::zeros(7), "7");
+    refused(Array1::from_elem(slopes, f64::NAN), "NaN");
     let missing = scene.with(&[("wavefront_sensor.moved_reference_file", "none.fits")]).unwrap();
     let error = Estimator::new(&missing).err().unwrap().to_string();
     assert!(error.contains("none.fits") && error.contains("moved_reference_file"), "{error}");
