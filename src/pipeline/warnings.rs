@@ -67,8 +67,8 @@ pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Opt
     })
 }
 
-/// Remark on the orientation of the images, where pupil and diversity equal their mirror images: a flipped image is then the
-/// image of the flipped wavefront.
+/// Remark on the orientation of the images: where pupil and diversity equal their mirror images a flipped image is that of the flipped wavefront. The
+/// image of A·exp(−i(W + d)), with the opposite wavefront and diversity, is the turned one of A·exp(i(W + d)) for any pupil A.
 ///
 /// # Errors
 /// Those of reading the diversity.
@@ -95,18 +95,23 @@ pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result
     let is_flipped_equal = [[true, false], [false, true]].into_iter().any(is_symmetric);
     // A point-symmetric pupil with an even diversity has the same image with the opposite diversity and the wavefront −W(−x, −y).
     let has_diversity = map.is_some() || scene.image.diversity_focus_waves_rms != 0.0;
-    let sign = if is_turned_equal && has_diversity {
-        " Nor can the sign of the diversity: with the opposite one the maps are −W(−x, −y)."
-    } else {
-        ""
+    let sign = match (has_diversity, is_turned_equal) {
+        (false, _) => "",
+        (true, true) => " Nor can the sign of the diversity: with the opposite one the maps are −W(−x, −y).",
+        (true, false) => {
+            " Images turned by 180° would fit with the opposite diversity, and the maps −W(x, y): the sign of the maps is that of the \
+             scene's orientation and diversity together."
+        }
     };
-    Ok((is_turned_equal || is_flipped_equal).then(|| {
-        format!(
+    const POKE: &str = "'cophase check-orientation' finds it from a known poke of a segment or an actuator";
+    Ok(if is_turned_equal || is_flipped_equal {
+        Some(format!(
             "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \
-             ('cophase check-orientation' finds it from a known poke of a segment or an actuator; image.flip_x and image.flip_y \
-             set it).{sign}"
-        )
-    }))
+             ({POKE}; image.flip_x and image.flip_y set it).{sign}"
+        ))
+    } else {
+        Some(format!("{} ({POKE}).", sign.trim().trim_end_matches('.'))).filter(|_| !sign.is_empty())
+    })
 }
 
 /// Warnings of a modal estimate.

@@ -133,7 +133,7 @@ fn image(
     let (pixel_mas, comment) = match (of(Quantity::PixelMas), of_camera) {
         (Some(fact), _) => (fact.values[0], card(fact)),
         (None, Some((_, name, mas))) => (*mas, format!("{instrument}, camera {name}")),
-        (None, None) => (10.0, format!("{UNKNOWN}: no card has the pixel scale; this is that of 10 mas")),
+        (None, None) => (10.0, format!("{UNKNOWN}: no card has the pixel scale; pixels of 10 mas are assumed")),
     };
     let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
     let sampling = wavelength_nm * 1e-9 / grid_m * radian_mas / pixel_mas;

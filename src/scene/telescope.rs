@@ -52,8 +52,8 @@ section! {
         diversity_focus_waves_pv: Option<f64>, between(-80.0, 80.0), unset("given by diversity_focus_waves_rms");
         /// Focus of the diversity, RMS over the pupil, in place of the waves RMS.
         diversity_focus_nm_rms: Option<f64>, between(-2e6, 2e6), unset("given by diversity_focus_waves_rms");
-        /// Travel of the detector along the axis at focal_ratio, in place of the waves RMS; positive where the focus is positive at the
-        /// pupil's edge.
+        /// Travel of the detector along the axis at focal_ratio, in place of the waves RMS; positive towards the telescope, where the image's
+        /// axes are those of the pupil.
         diversity_stage_mm: Option<f64>, between(-1e4, 1e4), unset("given by diversity_focus_waves_rms");
         /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over pupil.grid_m, or as GRID_M or
         /// PUPLSCAL say.

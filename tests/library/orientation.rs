@@ -48,6 +48,19 @@ fn a_pupil_without_symmetry_determines_the_orientation() {
     let (n, images) = (96, Images::simulated(&scene).unwrap());
     let right = estimate(&scene, &images);
     assert!(right.is_sound() && remarks(&right) == 0, "{:?} {:?}", right.warnings, right.remarks);
+    // All but one: a turn by 180° with the opposite diversity has the same image, and the opposite maps.
+    let opposite =
+        scene.with(&[("image.diversity_focus_waves_rms", "-0.8"), ("image.flip_x", "true"), ("image.flip_y", "true")]);
+    let turned = Images { truth: None, scene: None, facts: Vec::new(), ..images.clone() };
+    let opposite = Estimator::new(&opposite.unwrap()).unwrap().estimate(&turned).unwrap();
+    assert!(opposite.is_sound(), "{:?}", opposite.warnings);
+    for (one, other) in right.coefficients_nm.iter().zip(&opposite.coefficients_nm) {
+        // Two fits that stop at steps of a fraction of their error bars.
+        assert!((one + other).abs() < right.phasing.sigma_nm, "{one} {other}");
+    }
+    for found in [&right, &opposite] {
+        assert!(found.remarks.iter().any(|remark| remark.contains("Images turned by 180°")), "{:?}", found.remarks);
+    }
     for (name, flip_x, flip_y) in [("left to right", true, false), ("up to down", false, true), ("both", true, true)] {
         let mirrored = |at: usize, flip: bool| if flip { (n - at) % n } else { at };
         let found = estimate(&scene, &moved(&images, |y, x| (mirrored(y, flip_y), mirrored(x, flip_x))));

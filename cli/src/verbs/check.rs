@@ -144,10 +144,11 @@ fn text(found: &Check) -> String {
             format!("\nLikeliest cause: {}. Reduced χ² {own:.3}.\n", cause.quantity.name())
         }
         Some(cause) => {
-            let set: Vec<String> = cause.settings.iter().map(|(key, value)| format!("set {key} = {value}\n")).collect();
+            let set: Vec<String> =
+                cause.settings.iter().map(|(key, value)| format!("  set {key} = {value}\n")).collect();
             let name = cause.quantity.name();
             format!(
-                "\nLikeliest cause: {name}. Reduced χ² {own:.3}, {corrected:.3} with\n{}Check again with it: other faults may be its \
+                "\nLikeliest cause: {name}. Reduced χ² {own:.3}; it becomes {corrected:.3} if you\n{}Check again with it: other faults may be its \
                  consequences.\n",
                 set.concat()
             )

@@ -77,7 +77,9 @@ impl Work<'_> {
             }
         }
         let orientation = if shape.hidden.is_empty() {
-            Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
+            let shown = "the pupil's shape shows every orientation, but not a turn by 180° together with the opposite sign of the defocus: \
+                         the maps then have the opposite sign, which a known poke shows";
+            Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, shown)
         } else {
             let hidden = shape.hidden.join(", ");
             Finding::open(

@@ -26,7 +26,7 @@ pub(super) fn finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
         ShapeKind::Blur => CheckedQuantity::Blur,
     };
     let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
-    let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
+    let sentence = if is_fault { shape.sentence.replacen("of it", "of the residual", 1) } else { "none found".into() };
     // Of a linear coefficient, whose square over its variance is the decrease.
     let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
     // Of a residual that has another cause the coefficient says nothing.
