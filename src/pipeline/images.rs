@@ -143,8 +143,7 @@ impl Images {
         let scene = embedded_scene(path).ok().flatten();
         let truth = TruthMaps::read(path)?;
         let mut file = FitsReader::open(path)?;
-        let has_moved = file.is_whole() && file.has(MOVED_REFERENCE);
-        let moved = has_moved.then(|| file.row(Some(MOVED_REFERENCE)).map(Array1::from)).transpose()?;
+        let moved = moved_reference(&mut file)?;
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
             let found = slopes(&mut file, &read)?;
             let mut images = Self::with_bad(read.data, read.bad);
@@ -161,7 +160,7 @@ impl Images {
 
     /// These images with the slopes of the wavefront sensor in the FITS file `path` in place of their own: a row for each image, in the order
     /// and unit of the scene's `[wavefront_sensor]`; NaN for images without telemetry. They are in the HDU that `FILE[HDU]` names, else in
-    /// `SLOPES_MEAN`, else in `SLOPES`, else in the first image; of a file of AOT ([`io::aot`]) those of its exposures are taken.
+    /// `SLOPES_MEAN`, else in `SLOPES`, else in the first image, with `MOVED_REFERENCE` where the file is read as a whole; of a file of AOT ([`io::aot`]) those of its exposures are taken.
     ///
     /// # Errors
     /// [`Error::File`] for a file that cannot be read, or whose number of rows is another than that of the images.
@@ -186,7 +185,7 @@ impl Images {
             ));
         }
         let notes = self.notes.into_iter().chain(found.left_out).collect();
-        Ok(Self { slopes_mas: Some(slopes), notes, ..self })
+        Ok(Self { slopes_mas: Some(slopes), moved_reference_mas: moved_reference(&mut file)?, notes, ..self })
     }
 
     /// Simulated images of an artificial source, with their truth; see [`source::simulate`].
@@ -323,6 +322,12 @@ pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     let Some(text) = text else { return Ok(None) };
     let directory = path.parent().unwrap_or(Path::new(""));
     Scene::embedded(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("{place}: {error}")))
+}
+
+/// By how much corrections have moved the reference slopes, where the file says it.
+fn moved_reference(file: &mut FitsReader) -> Result<Option<Array1<f64>>> {
+    let is_there = file.is_whole() && file.has(MOVED_REFERENCE);
+    is_there.then(|| file.row(Some(MOVED_REFERENCE)).map(Array1::from)).transpose()
 }
 
 /// Telemetry of the images `read` in a file, if it has any: of a file of AOT that of their times; else, where the file has the images of

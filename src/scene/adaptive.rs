@@ -137,7 +137,7 @@ section! {
         reference_file: Option<PathBuf>, ANY, unset("0");
         /// FITS row, in that order and unit, or a file of 'cophase estimate --commands': by how much corrections of the NCPA have moved the
         /// reference slopes, to which the telemetry is relative. Error bars then have how well the mirror's shape is known.
-        /// Estimates only.
+        /// Estimate only.
         moved_reference_file: Option<PathBuf>, ANY, unset("0");
         /// Wavelength of the sensor.
         wavelength_nm: f64, above(0.0, 1e6), default(640.0);

@@ -39,6 +39,10 @@ fn moved_reference_slopes_count_from_a_file_of_images_and_from_the_corrections_t
     let after = images(&scene, &[SentCorrections::read(&path("c.fits")).unwrap()], &path("1.fits"));
     let moved_mas = after.moved_reference_mas.clone().unwrap();
     assert_eq!(moved_mas.to_vec(), corrections.slopes_mas);
+    // Slopes of another file come with the reference of that file.
+    let other = after.clone().with_slopes(path("0.fits")).unwrap();
+    assert!(other.moved_reference_mas.is_none());
+    assert_eq!(other.with_slopes(path("1.fits")).unwrap().moved_reference_mas, after.moved_reference_mas);
     let known = read(&scene, &after);
     // Images that come as arrays, whose scene names the corrections, or the row in a file of images.
     let array = Images { moved_reference_mas: None, ..after.clone() };
