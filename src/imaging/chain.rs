@@ -10,6 +10,8 @@ use super::work::Shapes;
 use crate::device::{Device, all_devices};
 use crate::{Error, Result};
 use ndarray::ArrayView2;
+use rayon::prelude::*;
+use std::borrow::Borrow;
 use std::sync::Arc;
 
 pub use crate::device::{Choice, Precision};
@@ -108,18 +110,19 @@ impl Chain {
     ///
     /// # Errors
     /// As [`Exposure::check`]; [`crate::Error::Device`] where a device fails.
-    pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
+    pub fn load<E: Borrow<Exposure> + Sync>(&mut self, exposures: &[E]) -> Result<()> {
         match self {
             Self::Cpu64(chain) => chain.load(exposures),
             Self::Cpu32(chain) => chain.load(exposures),
             Self::Auto(chain) => chain.load(exposures),
             Self::Several(group) => group.first_mut().load(exposures),
             Self::Device { chain, optics, .. } => {
-                exposures.iter().try_for_each(|exposure| exposure.check(optics.sampling().pixels))?;
-                let data: Vec<f64> = exposures.iter().flat_map(|exposure| exposure.data_e.iter().copied()).collect();
-                let weight: Vec<f64> = exposures.iter().flat_map(|exposure| exposure.weight.iter().copied()).collect();
-                let photometry: Vec<_> = exposures.iter().map(|exposure| exposure.photometry.into()).collect();
-                chain.load(&data, &weight, &photometry)
+                let exposures = || exposures.iter().map(Borrow::borrow);
+                exposures().try_for_each(|exposure| exposure.check(optics.sampling().pixels))?;
+                let parts = exposures().map(|exposure| {
+                    (exposure.data_e.as_slice(), exposure.weight.as_slice(), exposure.photometry.into())
+                });
+                chain.load_images(&parts.collect::<Vec<_>>())
             }
         }
     }
@@ -277,17 +280,20 @@ impl Fallback {
         &mut self.chain
     }
 
-    fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
+    fn load<E: Borrow<Exposure> + Sync>(&mut self, exposures: &[E]) -> Result<()> {
         // No image counts as loaded until all are.
         self.exposures.clear();
         self.with_fallback(|chain| chain.load(exposures))?;
-        self.exposures.extend_from_slice(exposures);
+        exposures.par_iter().map(|exposure| exposure.borrow().clone()).collect_into_vec(&mut self.exposures);
         Ok(())
     }
 
     fn replace_all(&mut self, exposures: &[(usize, &Exposure)]) -> Result<()> {
         self.with_fallback(|chain| chain.replace_all(exposures))?;
-        exposures.iter().for_each(|&(image, exposure)| self.exposures[image] = exposure.clone());
+        let mut replaced: Vec<Option<&Exposure>> = vec![None; self.exposures.len()];
+        exposures.iter().for_each(|&(image, exposure)| replaced[image] = Some(exposure));
+        let copies = self.exposures.par_iter_mut().zip(replaced).filter_map(|(own, new)| Some((own, new?)));
+        copies.for_each(|(own, new)| own.clone_from(new));
         Ok(())
     }
 

@@ -13,6 +13,7 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
+use std::borrow::Borrow;
 use std::sync::{Arc, Mutex};
 
 /// Forward model and adjoint on the CPU, for a batch of images.
@@ -92,10 +93,10 @@ impl<T: Polynomial> CpuChain<T> {
     ///
     /// # Errors
     /// As [`Exposure::check`].
-    pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
-        exposures.iter().try_for_each(|exposure| exposure.check(self.optics.sampling().pixels))?;
+    pub fn load<E: Borrow<Exposure>>(&mut self, exposures: &[E]) -> Result<()> {
+        exposures.iter().try_for_each(|exposure| exposure.borrow().check(self.optics.sampling().pixels))?;
         self.images.resize_with(exposures.len(), || LoadedImage::empty(self.optics.sampling().pixels));
-        self.images.iter_mut().zip(exposures).for_each(|(image, exposure)| image.set(exposure));
+        self.images.iter_mut().zip(exposures).for_each(|(image, exposure)| image.set(exposure.borrow()));
         Ok(())
     }
 

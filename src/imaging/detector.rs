@@ -27,7 +27,7 @@ pub enum Photometry {
 }
 
 /// One image as input of a chain: m×m data with their weights.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Exposure {
     /// Electrons, `[y][x]`; ignored (but finite) where the weight is 0.
     pub data_e: Vec<f64>,
@@ -35,6 +35,20 @@ pub struct Exposure {
     pub weight: Vec<f64>,
     /// Whether flux and background are known or fitted.
     pub photometry: Photometry,
+}
+
+impl Clone for Exposure {
+    fn clone(&self) -> Self {
+        Self { data_e: self.data_e.clone(), weight: self.weight.clone(), photometry: self.photometry }
+    }
+
+    /// Without another allocation where the images have one size.
+    fn clone_from(&mut self, source: &Self) {
+        let Self { data_e, weight, photometry } = source;
+        self.data_e.clone_from(data_e);
+        self.weight.clone_from(weight);
+        self.photometry = *photometry;
+    }
 }
 
 /// Results of one evaluation.

@@ -4,6 +4,8 @@
 #[cfg(all(feature = "opencl", debug_assertions))]
 mod fallback;
 mod free_phase;
+#[cfg(target_arch = "x86_64")]
+mod subnormal;
 
 use super::*;
 use crate::fourier::{PixelResponse, Sampling, Transform};

@@ -46,6 +46,14 @@ impl GpuChain {
         match *self {}
     }
 
+    /// Uploads images.
+    ///
+    /// # Errors
+    /// Never called: no value of this type exists.
+    pub fn load_images(&mut self, _: &[(&[f64], &[f64], GpuPhotometry)]) -> Result<()> {
+        match *self {}
+    }
+
     /// Replaces images.
     ///
     /// # Errors

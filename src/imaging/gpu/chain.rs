@@ -131,34 +131,64 @@ impl GpuChain {
     {
         let m = self.layout.pixels;
         let (images, size) = (photometry.len(), m * m);
-        if images > self.capacity() {
-            return Err(Error::Shape(format!(
-                "{images} images exceed the capacity of the chain, {} images",
-                self.capacity()
-            )));
-        }
         for (what, found) in [("data", data.len()), ("weights", weights.len())] {
             if found != images * size {
                 return Err(Error::Shape(format!("{found} {what} are not {images} images of {m} x {m} pixels")));
             }
         }
+        let parts = data.chunks_exact(size).zip(weights.chunks_exact(size)).zip(photometry);
+        self.load_images(&parts.map(|((data, weights), photometry)| (data, weights, *photometry)).collect::<Vec<_>>())
+    }
+
+    /// As [`GpuChain::load`], from the data, weights and photometry of each image.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::load`].
+    pub fn load_images<D, W>(&mut self, images: &[(&[D], &[W], GpuPhotometry)]) -> Result<()>
+    where
+        D: Copy + Into<f64> + Sync,
+        W: Copy + Into<f64> + Sync,
+    {
+        if images.len() > self.capacity() {
+            return Err(Error::Shape(format!(
+                "{} images exceed the capacity of the chain, {} images",
+                images.len(),
+                self.capacity()
+            )));
+        }
         self.photometry.clear();
         self.offsets.clear();
-        for first in (0..images).step_by(FOLDED_AT_ONCE) {
-            let folded: Vec<FoldedImage> = (first..images.min(first + FOLDED_AT_ONCE))
-                .into_par_iter()
-                .map(|i| {
-                    let range = i * size..(i + 1) * size;
-                    FoldedImage::new(&self.shape, m, &data[range.clone()], &weights[range], &photometry[i])
-                        .map_err(|what| Error::Value(format!("image {i} {what}")))
-                })
-                .collect::<Result<_>>()?;
-            for (i, image) in folded.iter().enumerate() {
-                self.stages.load(first + i, image)?;
-                self.offsets.push(image.offset);
+        self.offsets.resize(images.len(), 0.0);
+        let slots: Vec<_> =
+            images.iter().enumerate().map(|(i, &(data, weights, one))| (i, data, weights, one)).collect();
+        self.upload(&slots)?;
+        self.photometry.extend(images.iter().map(|(.., photometry)| *photometry));
+        Ok(())
+    }
+
+    /// Folds images and writes them into their slots.
+    fn upload<D, W>(&mut self, images: &[(usize, &[D], &[W], GpuPhotometry)]) -> Result<()>
+    where
+        D: Copy + Into<f64> + Sync,
+        W: Copy + Into<f64> + Sync,
+    {
+        let m = self.layout.pixels;
+        let fold = |&(image, data, weights, ref photometry): &(usize, &[D], &[W], GpuPhotometry)| {
+            if data.len() != m * m || weights.len() != m * m {
+                let (data, weights) = (data.len(), weights.len());
+                return Err(Error::Shape(format!(
+                    "{data} data and {weights} weights are not an image of {m} x {m} pixels"
+                )));
             }
+            let folded = FoldedImage::new(&self.shape, m, data, weights, photometry)
+                .map_err(|what| Error::Value(format!("image {image} {what}")))?;
+            Ok((image, folded))
+        };
+        for images in images.chunks(FOLDED_AT_ONCE) {
+            let folded = images.par_iter().map(fold).collect::<Result<Vec<_>>>()?;
+            self.stages.load(&folded)?;
+            folded.iter().for_each(|(image, folded)| self.offsets[*image] = folded.offset);
         }
-        self.photometry = photometry.to_vec();
         Ok(())
     }
 
@@ -175,28 +205,12 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::replace`].
     pub fn replace_all(&mut self, images: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
-        let (m, loaded) = (self.layout.pixels, self.photometry.len());
-        let fold = |&(image, data, weights, ref photometry): &(usize, &[f64], &[f64], GpuPhotometry)| {
-            if image >= loaded {
-                return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
-            }
-            if data.len() != m * m || weights.len() != m * m {
-                let (data, weights) = (data.len(), weights.len());
-                return Err(Error::Shape(format!(
-                    "{data} data and {weights} weights are not an image of {m} x {m} pixels"
-                )));
-            }
-            FoldedImage::new(&self.shape, m, data, weights, photometry)
-                .map_err(|what| Error::Value(format!("image {image} {what}")))
-        };
-        for images in images.chunks(FOLDED_AT_ONCE) {
-            let folded = images.par_iter().map(fold).collect::<Result<Vec<_>>>()?;
-            for ((image, _, _, photometry), folded) in images.iter().zip(&folded) {
-                self.stages.load(*image, folded)?;
-                self.offsets[*image] = folded.offset;
-                self.photometry[*image] = *photometry;
-            }
+        let loaded = self.photometry.len();
+        if let Some((image, ..)) = images.iter().find(|(image, ..)| *image >= loaded) {
+            return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
         }
+        self.upload(images)?;
+        images.iter().for_each(|(image, .., photometry)| self.photometry[*image] = *photometry);
         Ok(())
     }
 

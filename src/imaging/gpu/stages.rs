@@ -111,13 +111,20 @@ impl Stages {
         self.counts.capacity
     }
 
-    /// Uploads an image into `slot`.
-    pub fn load(&mut self, slot: usize, image: &FoldedImage) -> Result<()> {
-        let batch = &mut self.batch;
-        batch.data.write(slot * self.shape.pixels(), &image.data)?;
-        batch.weight.write(slot * self.shape.pixels(), &image.weights)?;
-        batch.kind.write(slot, &[image.kind])?;
-        batch.known.write(slot * 4, &image.known)
+    /// Uploads images into their slots, neighbours together: each copy to a GPU takes some 15 µs beside its bytes.
+    pub fn load(&mut self, images: &[(usize, FoldedImage)]) -> Result<()> {
+        let (batch, pixels) = (&mut self.batch, self.shape.pixels());
+        for run in images.chunk_by(|(one, _), (next, _)| *next == one + 1) {
+            let Some((slot, _)) = run.first() else { continue };
+            let all =
+                |of: fn(&FoldedImage) -> &[f64]| run.iter().map(|(_, image)| of(image)).collect::<Vec<_>>().concat();
+            let kinds: Vec<i32> = run.iter().map(|(_, image)| image.kind).collect();
+            batch.data.write(slot * pixels, &all(|image| &image.data))?;
+            batch.weight.write(slot * pixels, &all(|image| &image.weights))?;
+            batch.kind.write(*slot, &kinds)?;
+            batch.known.write(slot * 4, &all(|image| &image.known))?;
+        }
+        Ok(())
     }
 
     /// Whether the intensity is stored: see `intensity.cl`.

@@ -28,7 +28,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
             Chain::Cpu32(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
             Chain::Cpu64(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
             Chain::Device { .. } | Chain::Auto(_) | Chain::Several(_) => {
-                let exposures: Vec<Exposure> = images.iter().map(|image| image.prepared.exposure.clone()).collect();
+                let exposures: Vec<&Exposure> = images.iter().map(|image| &image.prepared.exposure).collect();
                 self.chain.borrow_mut().load(&exposures)?;
                 self.lock_step(task, images, watch)
             }
@@ -145,7 +145,7 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
         if let Some(error) = refused {
             return Err(error);
         }
-        let exposures: Vec<Exposure> = images.iter().map(|image| image.prepared.exposure.clone()).collect();
+        let exposures: Vec<&Exposure> = images.iter().map(|image| &image.prepared.exposure).collect();
         self.chain.borrow_mut().load(&exposures)
     }
 
