@@ -22,9 +22,9 @@ use super::basis_cache::BasisCache;
 use super::cube::Cube;
 use super::fitter::ModalFitter;
 use super::recipe::Recipe;
-use crate::Result;
 use crate::optimize::CancelFlag;
 use crate::scene::{Optic, Scene};
+use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 use parameter::{Parameter, starts};
 use search::Search;
@@ -101,8 +101,17 @@ pub(crate) struct OpticsMinimum {
     pub(crate) pixels: usize,
 }
 
+/// Where a fit of optical parameters begins.
+pub(crate) struct OpticsStart<'a> {
+    /// Values of some of them in place of the scene's.
+    pub(crate) values: &'a [(Optic, f64)],
+    /// Reduced χ² with the scene's values, for images of which no fit converges with these.
+    pub(crate) own_chi2: f64,
+}
+
 /// Fits the numbers that `scene` names (no reflectivities), with the Karhunen-Loève basis of `cache`, without another search for
-/// outlier pixels, to find which of them the images contradict. The fit starts from `plate_scale`, where it is given and χ² is lower there.
+/// outlier pixels, to find which of them the images contradict. The fit begins at `start` where χ² is lower there than with the scene's
+/// values.
 ///
 /// # Errors
 /// As [`estimator`].
@@ -111,19 +120,26 @@ pub(crate) fn fit_together(
     recipe: &Recipe,
     cache: &BasisCache,
     cube: Cube,
-    plate_scale: Option<f64>,
+    start: &OpticsStart,
     cancel: Option<&CancelFlag>,
 ) -> Result<OpticsMinimum> {
     let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
     with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
-        let first = search.iterate(&own)?;
-        let own_chi2 = first.reduced_chi2;
-        let is_plate_scale = |parameter: &Parameter| matches!(parameter, Parameter::Number(Optic::PlateScale, _));
         let mut elsewhere = own.clone();
-        if let (Some(at), Some(value)) = (search.parameters.iter().position(is_plate_scale), plate_scale) {
-            elsewhere[at] = value;
+        for &(optic, value) in start.values {
+            let is_it = |parameter: &Parameter| matches!(parameter, Parameter::Number(of, _) if *of == optic);
+            if let Some(at) = search.parameters.iter().position(is_it) {
+                elsewhere[at] = value;
+            }
         }
-        let start = search.better_start((own.clone(), first), elsewhere)?;
+        let (own_chi2, start) = match search.iterate(&own) {
+            Ok(first) => (first.reduced_chi2, search.better_start((own.clone(), first), elsewhere)?),
+            Err(Error::Image(_)) if elsewhere != own => {
+                let first = search.iterate(&elsewhere)?;
+                (start.own_chi2, (elsewhere, first))
+            }
+            Err(error) => return Err(error),
+        };
         let (values, last) = search.minimum(start)?;
         let fitter = search.fitter_at(&own, &values, &last)?;
         let reduced_chi2 = [own_chi2, last.reduced_chi2];

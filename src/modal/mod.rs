@@ -71,7 +71,7 @@ pub(crate) use diversity_error::{ModeProjector, check_reachable, has_diversity};
 pub use engine::Watch;
 pub use estimate::ImageFits;
 pub(crate) use estimate::ModalFit;
-pub(crate) use fit_optics::{OpticsMinimum, explaining_fit, fit_together};
+pub(crate) use fit_optics::{OpticsMinimum, OpticsStart, explaining_fit, fit_together};
 pub use fitted_optic::FittedOptic;
 pub use fitter::ModalFitter;
 pub(crate) use global_motions::GlobalMotions;

@@ -14,6 +14,7 @@
 //!
 //! The scene in a file, and its cards, are no evidence of their own: their values are fitted too, and compete as the others.
 
+mod causes;
 mod finding;
 mod focus;
 mod header;
@@ -32,8 +33,8 @@ use super::modal_task::{Fitted, ModalTask};
 use super::orientation::Poke;
 use super::policy::Policy;
 use crate::io::Quantity as Card;
-use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, ModalEstimate, OpticsMinimum};
-use crate::scene::{Optic, Scene};
+use crate::modal::{BasisCache, FittedImage, ModalEstimate};
+use crate::scene::Scene;
 use crate::{Error, Result};
 use finding::with;
 use ndarray::Axis;
@@ -41,10 +42,6 @@ use std::borrow::Cow;
 
 /// Images that are looked at, evenly from a sequence.
 const MAX_IMAGES: usize = 6;
-/// Part of the excess of χ² that a shape of the residual must explain where there is a misfit: see `misfit`.
-const EXPLAINED_BY_SHAPE: f64 = 0.5;
-/// Excess of χ² from which there is a misfit, in standard deviations of χ².
-const MISFIT_SIGMA: f64 = 5.0;
 
 /// What a check found.
 #[derive(Debug, Clone)]
@@ -133,6 +130,17 @@ impl Work<'_> {
         ModalTask { scene, policy, control, cache, images: &self.images, kept: None }.fit()
     }
 
+    /// Reduced χ² of image `image` with `scene`, without restarts, which a scene that explains it does not need; `None` where the fit fails.
+    fn trial_chi2(&self, scene: &Scene, image: usize) -> Result<Option<f64>> {
+        let (policy, control, cache) = (&self.policy, self.control, &BasisCache::default());
+        match (ModalTask { scene, policy, control, cache, images: &self.images, kept: None }).fit_one(scene, image) {
+            // Near the right scene a fit may end at the limit of its evaluations, with a χ² that is lower than elsewhere.
+            Ok(fit) => Ok(fit.and_then(|(_, found)| found.images.first().map(|image| image.reduced_chi2))),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            Err(_) => Ok(None),
+        }
+    }
+
     /// Checks the images against `given`, the scene `own` without what only an estimate does.
     fn run(&mut self, own: &Scene, given: &Scene, poke: Option<(Option<&Images>, &Images, Poke)>) -> Result<Check> {
         let cache = BasisCache::default();
@@ -142,7 +150,11 @@ impl Work<'_> {
         findings.push(self.saturation(given, &cache, &mut fitted)?);
         let (scene, orientation) = self.orientation(given, &cache, &mut fitted, poke)?;
         findings.extend(orientation);
-        findings.extend(self.optics_and_shapes(&scene, &cache.for_scene(given, &scene), &fitted)?);
+        let mut causes = self.causes(&scene, &cache.for_scene(given, &scene), &fitted)?;
+        if let Some(found) = causes.iter_mut().find(|one| one.quantity == CheckedQuantity::PlateScaleOrWavelength) {
+            optics::with_header(found, &scene, self.has_wavelength, &mut self.contradictions);
+        }
+        findings.extend(causes);
         let has_fault_of_focus = findings.iter().any(|finding| finding.quantity == CheckedQuantity::Defocus);
         findings.extend(shapes::noise(&fitted));
         findings.extend(shapes::photometry(&scene, &fitted, has_fault_of_focus)?);
@@ -166,7 +178,7 @@ impl Work<'_> {
     fn first_fit(&self, scene: &Scene, cache: &BasisCache) -> Result<(Fitted, Option<Finding>)> {
         let first = self.fit(scene, cache);
         let image = match &first {
-            Ok(fitted) => fitted.fit.1.used_images.first().copied().unwrap_or_default(),
+            Ok(fitted) => first_used(fitted),
             Err(Error::Image(_)) => 0,
             Err(_) => return first.map(|fitted| (fitted, None)),
         };
@@ -195,7 +207,7 @@ impl Work<'_> {
 
     /// Saturated pixels; they are bad from then on.
     fn saturation(&mut self, scene: &Scene, cache: &BasisCache, fitted: &mut Fitted) -> Result<Finding> {
-        let image = fitted.fit.1.used_images.first().copied().unwrap_or_default();
+        let image = first_used(fitted);
         let frame_e = self.images.images_e.index_axis(Axis(0), image);
         let Some(sentence) =
             misfit::saturation(&fitted.fit.1.compared, frame_e, self.images.bad.index_axis(Axis(0), image))
@@ -220,95 +232,6 @@ impl Work<'_> {
         Ok(Finding { gain, ..Finding::new(CheckedQuantity::Saturation, Verdict::Fault, sentence) })
     }
 
-    /// Optical parameters, fitted together, and shapes of the residual.
-    fn optics_and_shapes(&mut self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Vec<Finding>> {
-        let (excess, shapes) = self.with_case(fitted, cache, |case, found| {
-            Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
-        })?;
-        let pixels = pixels_of(fitted);
-        let is_misfit = excess > MISFIT_SIGMA * (2.0 * pixels).sqrt();
-        // Beyond some per cent the fit of all parameters does not reach a plate scale that one alone finds.
-        let plate_scale =
-            if is_misfit { self.with_case(fitted, cache, |case, found| case.plate_scale(found))? } else { None };
-        let start = plate_scale.map(|other| other.fitted);
-        let mut parameters = optics::parameters(scene);
-        let mut minimum = self.minimum(scene, cache, &parameters, start)?;
-        if minimum.is_none() && parameters.contains(&Optic::Rotation) {
-            // A turned pupil may be larger than its grid.
-            parameters.retain(|optic| *optic != Optic::Rotation);
-            minimum = self.minimum(scene, cache, &parameters, start)?;
-        }
-        let own_chi2 = chi2_of(fitted);
-        let best_chi2 = minimum.as_ref().map_or(own_chi2, |minimum| own_chi2.min(minimum.reduced_chi2[1]));
-        // What the best shape leaves.
-        let left_by_shape =
-            shapes.iter().map(|shape| 1.0 + (excess - shape.decrease) / pixels).fold(own_chi2, f64::min);
-        let scale = best_chi2.min(left_by_shape).max(1.0);
-        let mut findings = Vec::new();
-        if let Some(minimum) = &minimum {
-            let [own, least] = minimum.reduced_chi2;
-            let is_explained = !is_misfit || (least - 1.0).max(0.0) < optics::MOST_LEFT * (own - 1.0);
-            findings = optics::findings((scene, &parameters), minimum, scale, is_explained);
-            if let Some(first) = findings.first_mut() {
-                optics::with_header(first, scene, self.has_wavelength, &mut self.contradictions);
-            }
-        } else {
-            findings.push(Finding::open(
-                CheckedQuantity::PlateScaleOrWavelength,
-                "the fit of plate scale and illumination does not converge: their values are far from the scene's, or \
-                 something else is wrong",
-            ));
-        }
-        if scene.pupil.extent_m().is_some() && !parameters.contains(&Optic::Rotation) {
-            findings.push(Finding::open(
-                CheckedQuantity::Rotation,
-                "its fit does not converge, or the turned pupil is larger than pupil.grid_m: give a wider grid",
-            ));
-        }
-        let log_pixels = pixels.max(2.0).ln();
-        for shape in shapes {
-            let gain = shape.decrease / scale - shape.parameters as f64 * log_pixels;
-            let is_large = shape.value.abs() > shapes::least(shape.kind);
-            let is_fault = gain > 0.0 && is_large && (!is_misfit || shape.share > EXPLAINED_BY_SHAPE);
-            findings.push(shapes::finding(&shape, gain, is_fault));
-        }
-        if is_misfit && !findings.iter().any(|finding| finding.verdict == Verdict::Fault) {
-            let status = fitted.fit.1.status().kind();
-            if status != ImageStatus::Ok || own_chi2 > 2.0 {
-                findings.push(Finding::new(
-                    CheckedQuantity::Unexplained,
-                    Verdict::Fault,
-                    format!(
-                        "a reduced χ² of {own_chi2:.2} that none of these explains: 'cophase estimate' tries tilts of the segments, more \
-                         NCPA and reflectivities; an exposure that averages turbulence is no image of a static wavefront"
-                    ),
-                ));
-            }
-        }
-        Ok(findings)
-    }
-
-    /// Minimum of `parameters` and the modes, from the plate scale `start` on where there is one; `None` where the fit does not converge or
-    /// leads to values that the scene does not accept.
-    fn minimum(
-        &self,
-        scene: &Scene,
-        cache: &BasisCache,
-        parameters: &[Optic],
-        start: Option<f64>,
-    ) -> Result<Option<OpticsMinimum>> {
-        // A scene without weights fits no optics.
-        let Ok(fitting) = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))]) else { return Ok(None) };
-        let images = &self.images;
-        let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-        let flag = Some(self.control.flag());
-        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, start, flag) {
-            Ok(minimum) => Ok(Some(minimum)),
-            Err(error @ Error::Interrupted(_)) => Err(error),
-            Err(_) => Ok(None),
-        }
-    }
-
     /// What `of` finds of the first image that is used.
     fn with_case<T>(
         &self,
@@ -317,7 +240,7 @@ impl Work<'_> {
         of: impl FnOnce(&misfit::Case, &ModalEstimate) -> Result<T>,
     ) -> Result<T> {
         let (fitter, found) = &fitted.fit;
-        let image = found.used_images.first().copied().unwrap_or_default();
+        let image = first_used(fitted);
         let diversity = fitter.diversity_projection()?;
         let (scene, policy, control) = (fitter.scene(), &self.policy, self.control);
         let task = ModalTask { scene, policy, control, cache, images: &self.images, kept: None };
@@ -342,6 +265,11 @@ fn sort(findings: &mut [Finding]) {
 /// Median reduced χ² of the images that are used.
 fn chi2_of(fitted: &Fitted) -> f64 {
     fitted.fit.1.reduced_chi2()
+}
+
+/// The first image that is used.
+fn first_used(fitted: &Fitted) -> usize {
+    fitted.fit.1.used_images.first().copied().unwrap_or_default()
 }
 
 /// Pixels that are fitted.

@@ -194,11 +194,12 @@ fn selected(
             settings.push(("pupil.rotation_deg".into(), rotation_deg.to_string()));
         }
         if best.sign < 0.0 {
-            warnings.push(
-                "the poke has the opposite sign in the images: it lowers the wavefront (a positive one raises it), or else \
-                 image.diversity_focus_waves_rms has the wrong sign and the images are rotated by 180° in addition"
-                    .into(),
-            );
+            let (diversity, _) =
+                scene.own_form("image.diversity_focus_waves_rms", scene.image.diversity_focus_waves_rms);
+            warnings.push(format!(
+                "the poke has the opposite sign in the images: it lowers the wavefront (a positive one raises it), or else {diversity} has \
+                 the wrong sign and the images are rotated by 180° in addition"
+            ));
         }
     }
     Ok(Orientation { best, runner_up, equivalent, settings, warnings })

@@ -26,8 +26,13 @@ done
 \"$COPHASE\" \"${words[@]}\" || { status=$?; [[ $status == 3 ]] || exit $status; }
 ";
 
-/// Pages whose lines need no files but those that they make.
-const WHOLE: [&str; 2] = ["README.md", "quickstart.md"];
+/// Pages whose lines need no files but those that they make, and what makes the reader's own. A scene that a page begins with is
+/// `scene.toml`.
+const WHOLE: [(&str, &str); 3] = [
+    ("README.md", ""),
+    ("quickstart.md", ""),
+    ("your-telescope.md", "cophase image scene.toml --set image.peak_snr=200 -o images.fits"),
+];
 
 /// Runs the program behind a launcher's own words, if there is one.
 const LAUNCHER: &str = "#!/bin/bash
@@ -80,14 +85,17 @@ fn whole_pages_run() {
         println!("skipped: COPHASE_LONG_TESTS is not 1");
         return;
     }
-    let pages = blocks::run_in("sh");
-    for name in WHOLE {
+    let (pages, scenes) = (blocks::run_in("sh"), blocks::run_in("toml"));
+    for (name, own_files) in WHOLE {
         let (_, blocks) = pages.iter().find(|(page, _)| page == name).expect("the page has blocks");
         let folder = tempfile::tempdir().unwrap();
-        for block in blocks {
-            let output = shell(&block.text, SMALL_PROGRAM, folder.path()).output().unwrap();
+        if let Some((_, scenes)) = scenes.iter().find(|(page, _)| page == name) {
+            std::fs::write(folder.path().join("scene.toml"), &scenes[0].text).unwrap();
+        }
+        for text in std::iter::once(own_files).chain(blocks.iter().map(|block| block.text.as_str())) {
+            let output = shell(text, SMALL_PROGRAM, folder.path()).output().unwrap();
             let complaint = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success() && !complaint.contains("not found"), "{block}: {complaint}");
+            assert!(output.status.success() && !complaint.contains("not found"), "{name}: {text}: {complaint}");
         }
         assert!(folder.path().join("est.fits").exists(), "{name} makes no estimate");
     }

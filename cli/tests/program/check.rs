@@ -203,6 +203,56 @@ fn an_image_in_focus_where_the_scene_has_a_defocus_is_named() {
     assert!(json["reduced_chi2_corrected"].as_f64().unwrap() < 2.0, "{json}");
 }
 
+/// Seven hexagons with three vanes, whose rotation the fit of all optical parameters together does not reach.
+const VANES: [&str; 9] = [
+    "pupil.samples=96",
+    "pupil.grid_m=5.6",
+    "pupil.segment_side_m=1.0",
+    "pupil.spider_width_m=0.15",
+    "pupil.spider_vanes_deg=[90.0,225.0,330.0]",
+    "image.pixels=96",
+    "image.peak_snr=200",
+    "image.pixel_fill=1",
+    "modes.ncpa_count=20",
+];
+
+#[test]
+fn a_rotation_of_some_degrees_is_named() {
+    for rotation_deg in [3.0, 7.0] {
+        let planted = format!("pupil.rotation_deg={rotation_deg}");
+        let desk = Desk::with_images(&[&VANES[..], &[&planted]].concat());
+        strip(&desk);
+        let set = VANES.iter().flat_map(|setting| ["--set", setting]);
+        let arguments: Vec<&str> =
+            ["check", "bare.fits", "--scene", "scene.toml", "--json"].into_iter().chain(set).collect();
+        let json = desk.json(&arguments);
+        assert_eq!(json["cause"], "rotation", "{json}");
+        let found = finding(&json, "rotation");
+        let [value, sigma] = ["found", "sigma"].map(|key| found[key].as_f64().unwrap());
+        // Five standard deviations, and the tenth of a degree below which a rotation is no fault.
+        assert!((value - rotation_deg).abs() < 5.0 * sigma + 0.1, "{json}");
+        assert!(json["reduced_chi2_corrected"].as_f64().unwrap() < 1.3, "{json}");
+        // The residual has one cause, so that it says nothing of others: they are not said to agree.
+        for shape in ["companion", "blur"] {
+            assert_ne!(finding(&json, shape)["verdict"], "fault", "{json}");
+        }
+    }
+}
+
+#[test]
+fn pixels_with_an_area_are_named_where_the_scene_has_points() {
+    let desk = Desk::with_images(&[&VANES[..], &["image.bandwidth_fraction=0.01"]].concat());
+    strip(&desk);
+    let set = VANES.iter().flat_map(|setting| ["--set", setting]);
+    let more = ["--set", "image.bandwidth_fraction=0.01", "--set", "image.pixel_fill=0", "--json"];
+    let arguments: Vec<&str> =
+        ["check", "bare.fits", "--scene", "scene.toml"].into_iter().chain(set).chain(more).collect();
+    let json = desk.json(&arguments);
+    assert_eq!(json["cause"], "pixel fill", "{json}");
+    assert_eq!(json["settings"]["image.pixel_fill"], "1", "{json}");
+    assert!(json["reduced_chi2_corrected"].as_f64().unwrap() < 1.2, "{json}");
+}
+
 /// A map of actuators that stayed on another machine is needed by no check of the images.
 #[test]
 fn the_scene_of_a_file_may_name_a_file_that_is_elsewhere() {

@@ -48,7 +48,7 @@ fn least(optic: Optic, scene: f64) -> f64 {
     }
 }
 
-fn quantity(optic: Optic) -> CheckedQuantity {
+pub(super) fn quantity(optic: Optic) -> CheckedQuantity {
     match optic {
         Optic::PlateScale => CheckedQuantity::PlateScaleOrWavelength,
         Optic::Rotation => CheckedQuantity::Rotation,
@@ -99,11 +99,20 @@ fn finding(
     // Rise of χ² where the group returns to the scene's values and all else is fitted again: Δᵀ C⁻¹ Δ of noise as stated.
     let rise = SpdInverse::new(covariance).map_or(0.0, |inverse| change.dot(&inverse.inverse.dot(&change)));
     let rise = rise * minimum.reduced_chi2[1].max(1.0);
+    // Of an effect that is not linear, as that of a filter's width, this is too much: no parameter explains more than all together.
+    let decrease = (minimum.reduced_chi2[0] - minimum.reduced_chi2[1]) * minimum.pixels as f64;
+    let rise = rise.min(decrease.max(0.0));
     let gain = rise / scale - group.len() as f64 * (minimum.pixels.max(2) as f64).ln();
     let length = change.dot(&change).sqrt();
     let sigma = group.iter().map(|one| one.sigma).fold(0.0, f64::max);
-    let is_fault = is_explained && gain > 0.0 && length > least(optic, first.scene);
-    let explanation = match optic {
+    let is_apart = gain > 0.0 && length > least(optic, first.scene);
+    let is_fault = is_apart && is_explained;
+    let verdict = match (is_apart, is_explained) {
+        (false, _) => Verdict::Agrees,
+        (true, true) => Verdict::Fault,
+        (true, false) => Verdict::NotDetermined,
+    };
+    let mut explanation = match optic {
         Optic::Illumination => {
             let terms: Vec<String> =
                 group.iter().map(|one| format!("{} = {:.4} ± {:.4}", one.key(), one.value, one.sigma)).collect();
@@ -116,6 +125,9 @@ fn finding(
             format!("{key} = {value:.5} ± {sigma:.5}, where the scene has {scene:.5}")
         }
     };
+    if verdict == Verdict::NotDetermined {
+        explanation += "; most of the residual has another cause, which changes this value";
+    }
     let settings = group.iter().filter(|_| is_fault).map(|one| (one.key(), format!("{:.6}", one.value))).collect();
     let (scene, found) = if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
     Finding {
@@ -124,7 +136,7 @@ fn finding(
         sigma: Some(sigma),
         gain,
         settings,
-        ..Finding::new(quantity, if is_fault { Verdict::Fault } else { Verdict::Agrees }, explanation)
+        ..Finding::new(quantity, verdict, explanation)
     }
 }
 

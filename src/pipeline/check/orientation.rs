@@ -2,7 +2,7 @@
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
 use super::turns::{self, Turn};
-use super::{Work, chi2_of, pixels_of};
+use super::{Work, chi2_of, first_used, pixels_of};
 use crate::Result;
 use crate::modal::BasisCache;
 use crate::pipeline::images::Images;
@@ -64,10 +64,14 @@ impl Work<'_> {
         if !fitted.is_explained() && own_chi2 > 1.0 {
             for turn in shape.turns {
                 let other = with(scene, &turn.settings)?;
+                let is_right = |chi2: f64| (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0);
+                if !self.trial_chi2(&other, first_used(fitted))?.is_some_and(is_right) {
+                    continue;
+                }
                 // A new basis: that of the cache belongs to the scene's rotation.
                 let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
                 let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
-                if (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0) {
+                if is_right(chi2) {
                     let gain = (own_chi2 - chi2) * pixels / chi2.max(1.0);
                     let chi2s = format!("reduced χ² {chi2:.2} in place of {own_chi2:.1}");
                     let findings = turn.findings(scene, gain, &chi2s, shape.shows_sign);

@@ -19,17 +19,24 @@ pub(super) fn least(kind: ShapeKind) -> f64 {
 }
 
 /// Finding of a shape of the residual.
-pub(super) fn finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
+pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
     let quantity = match shape.kind {
         ShapeKind::Companion => CheckedQuantity::Companion,
         ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
         ShapeKind::Blur => CheckedQuantity::Blur,
     };
-    let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
-    let sentence = if is_fault { shape.sentence.replacen("of it", "of the residual", 1) } else { "none found".into() };
+    let sentence = match verdict {
+        Verdict::Fault => shape.sentence.replacen("of it", "of the residual", 1),
+        Verdict::Agrees => "none found".into(),
+        Verdict::NotDetermined => {
+            let percent = 100.0 * shape.share;
+            format!("it would explain {percent:.0} % of the residual, most of which has another cause")
+        }
+    };
     // Of a linear coefficient, whose square over its variance is the decrease.
     let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
     // Of a residual that has another cause the coefficient says nothing.
+    let is_fault = verdict == Verdict::Fault;
     let (found, sigma) = (is_fault.then_some(shape.value), (is_fault && sigma.is_finite()).then_some(sigma));
     Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
 }

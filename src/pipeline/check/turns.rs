@@ -19,7 +19,7 @@ const DIFFERENT: f64 = 0.01;
 
 /// Keys of the orientation.
 const FLIPS: [&str; 2] = ["image.flip_x", "image.flip_y"];
-const ROTATION: &str = "pupil.rotation_deg";
+pub(super) const ROTATION: &str = "pupil.rotation_deg";
 
 /// A turn or flip of the images.
 pub(super) struct Turn {
