@@ -18,6 +18,10 @@ function build(library_directory, output_directory)
     if nargin < 2
         output_directory = here;
     end
+    if isempty(dir(fullfile(library_directory, '*cophase.*')))
+        error('cophase:BAD_FILE', ['%s holds no libcophase: run ''cargo build --release'', or give the folder of an installed ' ...
+            'one, build(''/prefix/lib'')'], library_directory);
+    end
     files = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'estimate', 'session', ...
         'joint_session', 'sequence', 'simulator'};
     sources = strcat(fullfile(here, 'gateway', files), '.c');

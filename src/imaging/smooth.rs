@@ -53,8 +53,8 @@ const SLICE: usize = 256;
 /// Number of independent partial sums of a reduction, for vectorisation.
 const LANES: usize = 32;
 /// Value of a function, relative to the largest and in units of the rounding of 1, below which it is taken for 0. Influence functions fall as
-/// Gaussians, to subnormal numbers (in f32 below 1e-38, a sixth of the pupil away), with which some processors are slow: an evaluation in f32
-/// took twice as long on a Xeon. Sums of some hundred products do not change by it.
+/// Gaussians, a third of the pupil away to subnormal numbers in f32, with which some processors are slow: on a Xeon an evaluation took twice as
+/// long. Sums of some hundred products change by their rounding.
 const NEGLIGIBLE: f64 = 1.0 / 64.0;
 
 impl<T: Polynomial> SmoothModes<T> {

@@ -284,7 +284,7 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
             chi2.sqrt()
         )),
         Status::WrongMinimum => Some(format!(
-            "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity or orientation \
+            "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity, rotation or orientation \
              of the scene are not the image's"
         )),
         Status::NotConverged(reason) if is_used => Some(format!(

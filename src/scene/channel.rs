@@ -164,7 +164,7 @@ const ALTERNATIVES: [&[&str]; 5] = [
     &[forms::FOCUS[0], forms::FOCUS[1], forms::FOCUS[2], forms::FOCUS[3], "diversity_file"],
     &["bandwidth_fraction", "filter_file"],
     &forms::SAMPLING,
-    &["focal_ratio"],
+    &forms::FOCAL,
 ];
 
 /// Sampling of a channel of another wavelength: that of `[image]` for pixels of the same angle.

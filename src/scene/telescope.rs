@@ -30,10 +30,12 @@ section! {
         pixel_mas: Option<f64>, above(0.0, 1e5), unset("given by samples_per_lambda_over_d");
         /// Pixel on the sky, in place of samples_per_lambda_over_d.
         pixel_arcsec: Option<f64>, above(0.0, 100.0), unset("given by samples_per_lambda_over_d");
-        /// Pitch of the pixels at the focus of focal_ratio, in place of samples_per_lambda_over_d.
+        /// Pitch of the pixels at the focus of focal_length_m or focal_ratio, in place of samples_per_lambda_over_d.
         pixel_pitch_um: Option<f64>, above(0.0, 1e4), unset("given by samples_per_lambda_over_d");
         /// Focal length over pupil.grid_m, with which pixel_pitch_um and diversity_stage_mm are converted.
         focal_ratio: Option<f64>, above(0.0, 1e4), unset("not needed");
+        /// Focal length of telescope and camera together, in place of focal_ratio.
+        focal_length_m: Option<f64>, above(0.0, 1e6), unset("given by focal_ratio");
         /// Number of pixels along a side of the image; the axis is on pixel pixels/2, rounded down. Images of an odd size are fitted
         /// without their last row or column, also where the scene says one less.
         pixels: usize, between(8.0, 8192.0), required();
@@ -52,8 +54,8 @@ section! {
         diversity_focus_waves_pv: Option<f64>, between(-80.0, 80.0), unset("given by diversity_focus_waves_rms");
         /// Focus of the diversity, RMS over the pupil, in place of the waves RMS.
         diversity_focus_nm_rms: Option<f64>, between(-2e6, 2e6), unset("given by diversity_focus_waves_rms");
-        /// Travel of the detector along the axis at focal_ratio, in place of the waves RMS; positive towards the telescope, where the image's
-        /// axes are those of the pupil.
+        /// Travel of the detector along the axis at the focus of focal_length_m or focal_ratio, in place of the waves RMS; positive towards the
+        /// telescope, where the image's axes are those of the pupil.
         diversity_stage_mm: Option<f64>, between(-1e4, 1e4), unset("given by diversity_focus_waves_rms");
         /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over pupil.grid_m, or as GRID_M or
         /// PUPLSCAL say.

@@ -102,13 +102,25 @@ impl Sections {
         })
     }
 
+    /// Focal length over the side of the pupil's grid.
     fn focal_ratio(&self, reader: &Reader, key: &str) -> Result<f64> {
-        self.image.focal_ratio.ok_or_else(|| {
-            reader.error(
+        match (self.image.focal_ratio, self.image.focal_length_m) {
+            (Some(ratio), None) => Ok(ratio),
+            (None, Some(focal_length_m)) => Ok(focal_length_m / self.grid_m(reader, key, "image.focal_ratio")?),
+            (Some(ratio), Some(focal_length_m)) => {
+                let sentence = format!(
+                    "image.focal_ratio = {ratio} and image.focal_length_m = {focal_length_m} are two forms of one quantity: one of them \
+                     is accepted"
+                );
+                Err(reader.error("focal_length_m", sentence))
+            }
+            (None, None) => Err(reader.error(
                 key,
-                format!("image.{key} needs image.focal_ratio, the focal length over pupil.grid_m; it is missing"),
-            )
-        })
+                format!(
+                    "image.{key} needs image.focal_length_m, or image.focal_ratio, the focal length over pupil.grid_m; both are missing"
+                ),
+            )),
+        }
     }
 }
 
@@ -196,6 +208,7 @@ mod tests {
             ("pixel_arcsec = 0.01", 4.0850),
             // f/15 with 27 um: 2.1686·15/27.
             ("focal_ratio = 15\npixel_pitch_um = 27", 1.20478),
+            ("focal_length_m = 164.25\npixel_pitch_um = 27", 1.20478),
         ] {
             let read = scene(image).unwrap();
             let own = read.image.samples_per_lambda_over_d;
@@ -229,6 +242,10 @@ mod tests {
         assert!((own / 1.9104 - 1.0).abs() < 3e-3, "{own}");
         // Stage: W = ΔL/(8F²) at the edge of the grid's circle, whose radius is 5.475 m: the RMS of that r² term over the pupil.
         let stage = scene("focal_ratio = 15\ndiversity_stage_mm = 20").unwrap().image.diversity_focus_waves_rms;
+        let other = scene("focal_length_m = 164.25\ndiversity_stage_mm = 20").unwrap();
+        assert_eq!(other.image.diversity_focus_waves_rms, stage);
+        let set = &other.with(&[("image.focal_ratio", "30")]).unwrap().image;
+        assert_eq!((set.focal_length_m, set.diversity_focus_waves_rms / stage), (None, 0.25));
         let edge_waves = 20e-3 / (8.0 * 225.0) / 2168.6e-9;
         let pv = scene(&format!("diversity_focus_waves_pv = {edge_waves}")).unwrap().image.diversity_focus_waves_rms;
         let radius_m = 5.4835f64;
@@ -265,11 +282,12 @@ mod tests {
         for (image, words) in [
             ("pixel_mas = 10\nsamples_per_lambda_over_d = 2", "'image.pixel_mas' are both given"),
             ("pixel_mas = 10\npixel_arcsec = 0.01", "both given"),
-            ("pixel_pitch_um = 18", "needs image.focal_ratio"),
+            ("pixel_pitch_um = 18", "needs image.focal_length_m, or image.focal_ratio"),
+            ("focal_ratio = 15\nfocal_length_m = 150\npixel_pitch_um = 18", "are two forms of one quantity"),
             ("pixel_mas = 0.1", "is a sampling of 408.4"),
             ("diversity_focus_waves_pv = 5\ndiversity_focus_waves_rms = 1.5", "both given"),
             ("diversity_focus_nm_rms = 5\ndiversity_file = \"a.fits\"", "both given"),
-            ("diversity_stage_mm = 5", "needs image.focal_ratio"),
+            ("diversity_stage_mm = 5", "needs image.focal_length_m, or image.focal_ratio"),
             ("diversity_focus_waves_pv = 79", "18.8"),
             ("pixel_mas = 30\npixel_fill = 1.0", "a sampling of 1.9 or more"),
         ] {

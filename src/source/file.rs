@@ -63,7 +63,7 @@ fn no_grid() -> Error {
 }
 
 /// Pixel on the sky, mas: λ/grid_m over the sampling; `None` where arrays of a caller replace the scene's pupil.
-pub(crate) fn pixel_mas(scene: &Scene) -> Option<f64> {
+pub fn pixel_mas(scene: &Scene) -> Option<f64> {
     let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
     let (grid_m, image) = (grid_m(scene).ok()?, &scene.image);
     Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * radian_mas)

@@ -12,8 +12,7 @@ mod random;
 mod truth;
 
 pub use camera::{Camera, expose, flux_e};
-pub(crate) use file::pixel_mas;
-pub use file::write;
+pub use file::{pixel_mas, write};
 pub use images::{ChangeOfTruth, SourceImages, simulate, simulate_channels, simulate_channels_with};
 pub(crate) use pixels::DetectorPixels;
 pub use random::stream;

@@ -69,9 +69,32 @@ fn print_scene(name: &Path, arguments: &Arguments, terminal: &Terminal) -> Resul
         interrupt.check("nothing was written")?;
         picture.draw(output.1)?;
         drop(wait);
-        return terminal.show(&format!("{}: {}\n", output.1.display(), numbering::summary(&picture)));
+        let name = output.1.display();
+        return terminal.show(&format!("{name}: {}\n{}\n", numbering::summary(&picture), in_pixels(&scene)));
     }
     terminal.print(scene.text())
+}
+
+/// Width of the spot of one wave RMS of defocus, λ/D: the slope of the wavefront at the edge of a disc, 4√3 waves a radius, in both directions.
+const SPOT_LAMBDA_OVER_D: f64 = 28.0;
+
+/// Pixels and defocus, whatever their units in the scene.
+fn in_pixels(scene: &Scene) -> String {
+    let image = &scene.image;
+    let sampling = image.samples_per_lambda_over_d;
+    let mut text = format!("{sampling:.3} pixels per λ/grid_m");
+    if let Some(mas) = cophase::source::pixel_mas(scene) {
+        text += &format!(" ({mas:.3} of {:.2} mas)", mas * sampling);
+    }
+    if image.diversity_file.is_none() {
+        let waves = image.diversity_focus_waves_rms;
+        let (nm, spot) = (waves * image.wavelength_nm, SPOT_LAMBDA_OVER_D * waves.abs() * sampling);
+        text += &format!(
+            "; defocus {waves:.3} waves RMS ({nm:.0} nm), a spot some {spot:.0} of {} pixels wide",
+            image.pixels
+        );
+    }
+    text
 }
 
 /// The scene in the file `name`, or the preset; a misspelt preset gets a suggestion.

@@ -239,6 +239,37 @@ fn a_rotation_of_some_degrees_is_named() {
     }
 }
 
+/// Four thin vanes, of which two are 5° from point symmetry: less than a per cent of the light, which bright images show.
+#[test]
+fn orientations_that_only_bright_images_show_are_named() {
+    let vanes =
+        ["pupil.spider_width_m=0.04", "pupil.spider_vanes_deg=[20.0,105.0,200.0,290.0]", "pupil.rotation_deg=11"];
+    let scene = [&VANES[..], &vanes, &["image.peak_snr=500"]].concat();
+    let desk = Desk::with_images(&scene);
+    strip(&desk);
+    let check = |wrong: &str| {
+        let set = scene.iter().copied().chain([wrong]).flat_map(|setting| ["--set", setting]);
+        let first = ["check", "bare.fits", "--scene", "scene.toml", "--json"];
+        desk.json(&first.into_iter().chain(set).collect::<Vec<_>>())
+    };
+    let right = check("image.flip_x=false");
+    assert_eq!(right["cause"], Value::Null, "{right}");
+    for quantity in ["orientation", "sign of the defocus"] {
+        assert_eq!(finding(&right, quantity)["verdict"], "agrees", "{right}");
+    }
+    let flipped = check("image.flip_y=true");
+    assert_eq!(flipped["cause"], "orientation", "{flipped}");
+    assert_eq!(flipped["settings"]["image.flip_y"], "false", "{flipped}");
+    let reversed = check("pupil.rotation_deg=-11");
+    assert_eq!(reversed["settings"]["pupil.rotation_deg"], "11", "{reversed}");
+    assert!(reversed["reduced_chi2_corrected"].as_f64().unwrap() < 1.3, "{reversed}");
+    // Images turned by 180° are those of the opposite sign.
+    let negative = check("image.diversity_focus_waves_rms=-1");
+    assert_eq!(negative["cause"], "orientation or sign of the defocus", "{negative}");
+    let explanation = finding(&negative, "orientation or sign of the defocus")["explanation"].as_str().unwrap();
+    assert!(explanation.contains("image.diversity_focus_waves_rms = 1;"), "{explanation}");
+}
+
 #[test]
 fn pixels_with_an_area_are_named_where_the_scene_has_points() {
     let desk = Desk::with_images(&[&VANES[..], &["image.bandwidth_fraction=0.01"]].concat());

@@ -140,6 +140,22 @@ fn finding(
     }
 }
 
+/// What else may be wrong where the scene has its pixel as a pitch: a focal length, which changes the defocus of a stage, too. `factor` is the fitted
+/// sampling over the scene's.
+fn of_focal_length(scene: &Scene, factor: f64) -> String {
+    let image = &scene.image;
+    let (key, value) = match (image.pixel_pitch_um, image.focal_length_m, image.focal_ratio) {
+        (Some(_), Some(focal_length_m), _) => ("focal_length_m", focal_length_m),
+        (Some(_), None, Some(ratio)) => ("focal_ratio", ratio),
+        _ => return String::new(),
+    };
+    let stage = if image.diversity_stage_mm.is_some() { ", and another defocus of the stage" } else { "" };
+    format!(
+        ". image.{key} = {:.5} in place of {value} has the same pixels{stage}: set it where the pitch is known",
+        value * factor
+    )
+}
+
 /// Decides between plate scale and wavelength by the file: a pixel of a fixed angle spans λ/D times a factor that goes with 1/λ, so the
 /// sampling is proportional to the wavelength. Contradictions of the file that the images confirm leave `contradictions`.
 pub(super) fn with_header(
@@ -182,5 +198,6 @@ pub(super) fn with_header(
     } else {
         finding.explanation +=
             ": another angle of a pixel, wavelength or size of the pupil, which one wavelength does not distinguish";
+        finding.explanation += &of_focal_length(scene, found / of_scene);
     }
 }

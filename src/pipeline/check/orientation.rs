@@ -12,6 +12,9 @@ use crate::scene::Scene;
 
 /// Largest part of χ² beyond 1 that the right orientation leaves.
 const LEFT_BY_TURN: f64 = 0.1;
+/// Rise of χ² by which images contradict an orientation that their pupil hardly shows: as for any cause, more than ln N of 10⁴ pixels, with a margin
+/// for the model's own error.
+const CONTRADICTED: f64 = 100.0;
 
 impl Work<'_> {
     /// The findings, and `given` in the orientation with which the rest is checked; `fitted` becomes the fit of it. A poke comes with the
@@ -59,38 +62,48 @@ impl Work<'_> {
 
     /// The turn of the images that the pupil's shape shows, with which they are explained, and the findings; `fitted` becomes its fit.
     fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<(Option<Turn>, Vec<Finding>)> {
-        let shape = turns::turns(scene)?;
-        let own_chi2 = chi2_of(fitted);
-        if !fitted.is_explained() && own_chi2 > 1.0 {
-            for turn in shape.turns {
-                let other = with(scene, &turn.settings)?;
-                let is_right = |chi2: f64| (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0);
-                if !self.trial_chi2(&other, first_used(fitted))?.is_some_and(is_right) {
-                    continue;
-                }
-                // A new basis: that of the cache belongs to the scene's rotation.
-                let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
+        let turns::Shape { turns, mut hidden, shows_sign } = turns::turns(scene)?;
+        let (own_chi2, is_explained) = (chi2_of(fitted), fitted.is_explained());
+        // Those that only bright images show are tried where the scene explains the images, too.
+        let is_tried = |turn: &Turn| if is_explained { !turn.is_plain } else { own_chi2 > 1.0 };
+        let mut tried = Vec::with_capacity(turns.len());
+        for turn in turns {
+            let other = with(scene, &turn.settings)?;
+            let chi2 = if is_tried(&turn) { self.trial_chi2(&other, first_used(fitted))? } else { None };
+            tried.push((turn, other, chi2.unwrap_or(f64::INFINITY)));
+        }
+        let is_right = |chi2: f64| (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0);
+        let best = (0..tried.len()).min_by(|&a, &b| tried[a].2.total_cmp(&tried[b].2));
+        if let Some(best) = best.filter(|&best| !is_explained && is_right(tried[best].2)) {
+            let (turn, other, _) = tried.swap_remove(best);
+            // A new basis: that of the cache belongs to the scene's rotation.
+            if let Ok(again) = self.fit(&other, &BasisCache::default())
+                && is_right(chi2_of(&again))
+            {
                 let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
-                if is_right(chi2) {
-                    let gain = (own_chi2 - chi2) * pixels / chi2.max(1.0);
-                    let chi2s = format!("reduced χ² {chi2:.2} in place of {own_chi2:.1}");
-                    let findings = turn.findings(scene, gain, &chi2s, shape.shows_sign);
-                    *fitted = again;
-                    return Ok((Some(turn), findings));
-                }
+                let gain = (own_chi2 - chi2) * pixels / chi2.max(1.0);
+                let chi2s = format!("reduced χ² {chi2:.2} in place of {own_chi2:.1}");
+                let findings = turn.findings(scene, gain, &chi2s, shows_sign.unwrap_or(true));
+                *fitted = again;
+                return Ok((Some(turn), findings));
             }
         }
-        let orientation = if shape.hidden.is_empty() {
+        let is_contradicted = |chi2: f64| (chi2 - own_chi2) * pixels_of(fitted) > CONTRADICTED;
+        let is_shown = |(turn, _, chi2): &(Turn, Scene, f64)| turn.is_plain || is_explained && is_contradicted(*chi2);
+        hidden.extend(tried.iter().filter(|one| !is_shown(one)).map(|(turn, ..)| turn.name.clone()));
+        // The images of the opposite sign are those of the pupil turned by 180°.
+        let shows_sign = shows_sign.unwrap_or_else(|| tried.iter().any(|one| one.0.is_also_sign && is_shown(one)));
+        let orientation = if hidden.is_empty() {
             let shown = "the pupil's shape shows every orientation, but not a turn by 180° together with the opposite sign of the defocus: \
                          the maps then have the opposite sign, which a known poke shows";
             Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, shown)
         } else {
-            let hidden = shape.hidden.join(", ");
+            let hidden = hidden.join(", ");
             Finding::open(
                 CheckedQuantity::Orientation,
                 format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
             )
         };
-        Ok((None, vec![orientation, turns::sign(shape.shows_sign)]))
+        Ok((None, vec![orientation, turns::sign(shows_sign)]))
     }
 }
