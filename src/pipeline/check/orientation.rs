@@ -62,37 +62,40 @@ impl Work<'_> {
 
     /// The turn of the images that the pupil's shape shows, with which they are explained, and the findings; `fitted` becomes its fit.
     fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<(Option<Turn>, Vec<Finding>)> {
-        let turns::Shape { turns, mut hidden, shows_sign } = turns::turns(scene)?;
-        let (own_chi2, is_explained) = (chi2_of(fitted), fitted.is_explained());
+        let turns::Shape { mut turns, mut hidden, shows_sign } = turns::turns(scene)?;
+        let (own_chi2, is_explained, pixels) = (chi2_of(fitted), fitted.is_explained(), pixels_of(fitted));
         // Those that only bright images show are tried where the scene explains the images, too.
         let is_tried = |turn: &Turn| if is_explained { !turn.is_plain } else { own_chi2 > 1.0 };
-        let mut tried = Vec::with_capacity(turns.len());
-        for turn in turns {
-            let other = with(scene, &turn.settings)?;
-            let chi2 = if is_tried(&turn) { self.trial_chi2(&other, first_used(fitted))? } else { None };
-            tried.push((turn, other, chi2.unwrap_or(f64::INFINITY)));
-        }
-        let is_right = |chi2: f64| (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0);
-        let best = (0..tried.len()).min_by(|&a, &b| tried[a].2.total_cmp(&tried[b].2));
-        if let Some(best) = best.filter(|&best| !is_explained && is_right(tried[best].2)) {
-            let (turn, other, _) = tried.swap_remove(best);
-            // A new basis: that of the cache belongs to the scene's rotation.
-            if let Ok(again) = self.fit(&other, &BasisCache::default())
-                && is_right(chi2_of(&again))
-            {
-                let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
-                let gain = (own_chi2 - chi2) * pixels / chi2.max(1.0);
-                let chi2s = format!("reduced χ² {chi2:.2} in place of {own_chi2:.1}");
-                let findings = turn.findings(scene, gain, &chi2s, shows_sign.unwrap_or(true));
-                *fitted = again;
-                return Ok((Some(turn), findings));
+        let mut best: Option<(usize, Scene, f64)> = None;
+        let mut is_shown: Vec<bool> = turns.iter().map(|turn| turn.is_plain).collect();
+        for (number, turn) in turns.iter().enumerate().filter(|(_, turn)| is_tried(turn)) {
+            // The turned pupil may be larger than its grid.
+            let Ok(other) = with(scene, &turn.settings) else { continue };
+            let chi2 = self.trial_chi2(&other, first_used(fitted))?.unwrap_or(f64::INFINITY);
+            is_shown[number] |= is_explained && (chi2 - own_chi2) * pixels > CONTRADICTED;
+            if best.as_ref().is_none_or(|(.., least)| chi2 < *least) {
+                best = Some((number, other, chi2));
             }
         }
-        let is_contradicted = |chi2: f64| (chi2 - own_chi2) * pixels_of(fitted) > CONTRADICTED;
-        let is_shown = |(turn, _, chi2): &(Turn, Scene, f64)| turn.is_plain || is_explained && is_contradicted(*chi2);
-        hidden.extend(tried.iter().filter(|one| !is_shown(one)).map(|(turn, ..)| turn.name.clone()));
+        let is_right = |chi2: f64| (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0);
+        if let Some((number, other, _)) = best.filter(|(.., chi2)| !is_explained && is_right(*chi2))
+            // A new basis: that of the cache belongs to the scene's rotation.
+            && let Ok(again) = self.fit(&other, &BasisCache::default())
+            && is_right(chi2_of(&again))
+        {
+            let turn = turns.swap_remove(number);
+            let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
+            let gain = (own_chi2 - chi2) * pixels / chi2.max(1.0);
+            let chi2s = format!("reduced χ² {chi2:.2} in place of {own_chi2:.1}");
+            let findings = turn.findings(scene, gain, &chi2s, shows_sign.unwrap_or(true));
+            *fitted = again;
+            return Ok((Some(turn), findings));
+        }
+        let is_sign_shown = turns.iter().zip(&is_shown).any(|(turn, is_shown)| turn.is_also_sign && *is_shown);
         // The images of the opposite sign are those of the pupil turned by 180°.
-        let shows_sign = shows_sign.unwrap_or_else(|| tried.iter().any(|one| one.0.is_also_sign && is_shown(one)));
+        let shows_sign = shows_sign.unwrap_or(is_sign_shown);
+        hidden
+            .extend(turns.iter().zip(&is_shown).filter(|(_, is_shown)| !**is_shown).map(|(turn, _)| turn.name.clone()));
         let orientation = if hidden.is_empty() {
             let shown = "the pupil's shape shows every orientation, but not a turn by 180° together with the opposite sign of the defocus: \
                          the maps then have the opposite sign, which a known poke shows";
