@@ -75,10 +75,7 @@ fn print_scene(name: &Path, arguments: &Arguments, terminal: &Terminal) -> Resul
     terminal.print(scene.text())
 }
 
-/// Width of the spot of one wave RMS of defocus, λ/D: the slope of the wavefront at the edge of a disc, 4√3 waves a radius, in both directions.
-const SPOT_LAMBDA_OVER_D: f64 = 28.0;
-
-/// Pixels and defocus, whatever their units in the scene.
+/// Sampling of the image in pixels per λ/D, and defocus in waves and nm.
 fn in_pixels(scene: &Scene) -> String {
     let image = &scene.image;
     let sampling = image.samples_per_lambda_over_d;
@@ -88,7 +85,8 @@ fn in_pixels(scene: &Scene) -> String {
     }
     if image.diversity_file.is_none() {
         let waves = image.diversity_focus_waves_rms;
-        let (nm, spot) = (waves * image.wavelength_nm, SPOT_LAMBDA_OVER_D * waves.abs() * sampling);
+        // A defocus of one wave RMS on a disc, √3 (2r² − 1), has a slope of 4√3 waves a radius at the edge: 8√3 λ/D on either side of the axis.
+        let (nm, spot) = (waves * image.wavelength_nm, 16.0 * 3f64.sqrt() * waves.abs() * sampling);
         text += &format!(
             "; defocus {waves:.3} waves RMS ({nm:.0} nm), a spot some {spot:.0} of {} pixels wide",
             image.pixels

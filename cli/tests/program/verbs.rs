@@ -288,8 +288,8 @@ fn the_numbering_of_a_scene_is_drawn_in_place_of_its_text() {
     let drawn = desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png"]);
     let [first, second] = drawn.out.lines().collect::<Vec<_>>()[..] else { panic!("{}", drawn.out) };
     assert_eq!((first, drawn.err.as_str()), ("pupil.png: 7 segments, 0 to 6", ""));
-    // One wave at 2 pixels per λ/D, whose spot is 56 pixels wide.
-    let ends = "; defocus 1.000 waves RMS (2000 nm), a spot some 56 of 64 pixels wide";
+    // The spot of one wave at 2 pixels per λ/D: 32√3 pixels.
+    let ends = "; defocus 1.000 waves RMS (2000 nm), a spot some 55 of 64 pixels wide";
     assert!(second.starts_with("2.000 pixels per λ/grid_m (") && second.ends_with(ends), "{second}");
     assert_eq!(desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png", "--quiet"]).out, "");
     let png = std::fs::read(desk.path("pupil.png")).unwrap();

@@ -42,14 +42,6 @@ impl GpuChain {
     ///
     /// # Errors
     /// Never called: no value of this type exists.
-    pub fn load<D, W>(&mut self, _: &[D], _: &[W], _: &[GpuPhotometry]) -> Result<()> {
-        match *self {}
-    }
-
-    /// Uploads images.
-    ///
-    /// # Errors
-    /// Never called: no value of this type exists.
     pub fn load_images(&mut self, _: &[(&[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         match *self {}
     }

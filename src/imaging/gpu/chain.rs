@@ -187,7 +187,13 @@ impl GpuChain {
         for images in images.chunks(FOLDED_AT_ONCE) {
             let folded = images.par_iter().map(fold).collect::<Result<Vec<_>>>()?;
             self.stages.load(&folded)?;
-            folded.iter().for_each(|(image, folded)| self.offsets[*image] = folded.offset);
+            for ((image, .., photometry), (_, folded)) in images.iter().zip(&folded) {
+                self.offsets[*image] = folded.offset;
+                // None is known before all images are loaded.
+                if let Some(known) = self.photometry.get_mut(*image) {
+                    *known = *photometry;
+                }
+            }
         }
         Ok(())
     }
@@ -209,9 +215,7 @@ impl GpuChain {
         if let Some((image, ..)) = images.iter().find(|(image, ..)| *image >= loaded) {
             return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
         }
-        self.upload(images)?;
-        images.iter().for_each(|(image, .., photometry)| self.photometry[*image] = *photometry);
-        Ok(())
+        self.upload(images)
     }
 
     /// Objective, gradient and photometry of the images `active` (indices into what was loaded) at `coefficients`, nm,

@@ -111,7 +111,7 @@ impl Stages {
         self.counts.capacity
     }
 
-    /// Uploads images into their slots, neighbours together: each copy to a GPU takes some 15 µs beside its bytes.
+    /// Uploads images into their slots, neighbours together: even a copy of a few bytes to a GPU takes some 7 µs (H100).
     pub fn load(&mut self, images: &[(usize, FoldedImage)]) -> Result<()> {
         let (batch, pixels) = (&mut self.batch, self.shape.pixels());
         for run in images.chunk_by(|(one, _), (next, _)| *next == one + 1) {

@@ -12,8 +12,8 @@ use crate::scene::Scene;
 
 /// Largest part of χ² beyond 1 that the right orientation leaves.
 const LEFT_BY_TURN: f64 = 0.1;
-/// Rise of χ² by which images contradict an orientation that their pupil hardly shows: as for any cause, more than ln N of 10⁴ pixels, with a margin
-/// for the model's own error.
+/// Rise of χ² above which images contradict an orientation whose pupil differs by less than `turns::DIFFERENT`: ten times Schwarz's ln N of 10⁴
+/// pixels, for the model's own error.
 const CONTRADICTED: f64 = 100.0;
 
 impl Work<'_> {
@@ -64,7 +64,7 @@ impl Work<'_> {
     fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<(Option<Turn>, Vec<Finding>)> {
         let turns::Shape { mut turns, mut hidden, shows_sign } = turns::turns(scene)?;
         let (own_chi2, is_explained, pixels) = (chi2_of(fitted), fitted.is_explained(), pixels_of(fitted));
-        // Those that only bright images show are tried where the scene explains the images, too.
+        // Turns that only bright images distinguish are also tried where the scene explains the images.
         let is_tried = |turn: &Turn| if is_explained { !turn.is_plain } else { own_chi2 > 1.0 };
         let mut best: Option<(usize, Scene, f64)> = None;
         let mut is_shown: Vec<bool> = turns.iter().map(|turn| turn.is_plain).collect();

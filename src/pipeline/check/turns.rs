@@ -16,8 +16,8 @@ use ndarray::{Array2, Axis};
 
 /// Part of the pupil's light in which two pupils differ that images distinguish.
 const DIFFERENT: f64 = 0.01;
-/// Part that bright images may distinguish: two vanes of 3 cm that are 5° from point symmetry are half a per cent, and leave a reduced χ² of 7 at a
-/// peak S/N of some 300. Below it is the sampling of the pupil.
+/// Part of the light above which bright images may distinguish two pupils. Two vanes of 3 cm on 8.8 m that are 5° from point symmetry are 0.7 % of
+/// the light, and leave a reduced χ² of 7.5 at a peak S/N of 190. Differences below it are those of the sampling of the pupil.
 const NEARLY_EQUAL: f64 = 1e-3;
 
 /// Keys of the orientation.
@@ -31,7 +31,7 @@ pub(super) struct Turn {
     /// Whether the opposite sign of the defocus has the same images. The images of a pupil turned by 180° are those of the opposite sign, so this holds
     /// for a turn by 180°, and for a flip where the pupil equals its mirror image.
     pub(super) is_also_sign: bool,
-    /// Whether the pupil's shape shows it in any image; otherwise in bright ones.
+    /// Whether the pupils differ by more than `DIFFERENT`; by less, bright images alone distinguish them.
     pub(super) is_plain: bool,
     pub(super) name: String,
 }
@@ -99,7 +99,7 @@ pub(super) fn turns(scene: &Scene) -> Result<Shape> {
     }
     if has_geometry && scene.pupil.rotation_deg != 0.0 {
         let settings = vec![(ROTATION.to_string(), (-scene.pupil.rotation_deg).to_string())];
-        // A pupil that is larger than its grid then is not.
+        // A pupil that is larger than its grid is no candidate.
         if let Some(map) =
             with(scene, &settings).and_then(|other| Telescope::new(&other)).ok().map(|of| of.pupil.amplitude)
             && seen.iter().all(|other| difference(other, &map) > NEARLY_EQUAL)
