@@ -1,9 +1,11 @@
 //! Residual RMS over the pupil (weight A), with piston, tip and tilt removed by least squares: of an estimate against
 //! the truth, and its expectation from a covariance.
 
+use crate::modes::Basis;
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView2, ArrayView3, Axis, Zip};
+use ndarray::{Array1, Array2, ArrayView2, ArrayView3, Axis, Zip, s};
+use std::ops::Range;
 
 /// RMS over the pupil of `estimate_nm − truth_nm` (`[y, x]`, nm), piston, tip and tilt removed, in nm.
 ///
@@ -48,9 +50,19 @@ impl MapGram {
         Ok(Self { products: weighted.dot(&weighted.t()) })
     }
 
+    /// Gram matrix of the modes of `basis` on the grid of `pupil`, by inner products, because the maps of hundreds of segments take gigabytes.
+    ///
+    /// # Errors
+    /// Those of [`Basis::gram`].
+    pub fn of_basis(pupil: &Pupil, basis: &Basis) -> Result<Self> {
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let [piston, tip, tilt] = Self::planes(pupil).map(|plane| basis.along(&(plane * &weight)));
+        Ok(Self::from_products(basis.gram(&weight)?, [piston?, tip?, tilt?]))
+    }
+
     /// Gram matrix from the mean products over the pupil of the maps with each other (piston, tip and tilt included),
     /// `[mode, mode]`, and with the three [`MapGram::planes`], `[plane][mode]`.
-    pub fn from_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
+    fn from_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
         // The planes are orthonormal: a map's products with them are its components along them.
         for along in along.map(Array1::from) {
             for (mut row, &part) in products.outer_iter_mut().zip(&along) {
@@ -61,7 +73,7 @@ impl MapGram {
     }
 
     /// Piston, tip and tilt, orthonormal in the mean over the pupil (weight A): `[y, x]` each.
-    pub fn planes(pupil: &Pupil) -> [Array2<f64>; 3] {
+    fn planes(pupil: &Pupil) -> [Array2<f64>; 3] {
         let weight = &pupil.amplitude / pupil.weight_sum();
         let shape = pupil.amplitude.dim();
         let mut planes = [
@@ -88,13 +100,22 @@ impl MapGram {
     /// # Errors
     /// [`Error::Shape`] for a covariance of another number of modes.
     pub fn expected_rms_nm(&self, covariance_nm2: ArrayView2<f64>) -> Result<f64> {
-        if covariance_nm2.dim() != self.products.dim() {
-            let ((rows, columns), modes) = (covariance_nm2.dim(), self.products.nrows());
+        self.expected_rms_of_nm(0..self.products.nrows(), covariance_nm2)
+    }
+
+    /// As [`MapGram::expected_rms_nm`], of the modes in `range` alone, which have the covariance `covariance_nm2`.
+    ///
+    /// # Errors
+    /// As [`MapGram::expected_rms_nm`].
+    pub fn expected_rms_of_nm(&self, range: Range<usize>, covariance_nm2: ArrayView2<f64>) -> Result<f64> {
+        let products = self.products.slice(s![range.clone(), range]);
+        if covariance_nm2.dim() != products.dim() {
+            let ((rows, columns), modes) = (covariance_nm2.dim(), products.nrows());
             return Err(Error::Shape(format!(
                 "a covariance of {rows}x{columns} was given for {modes} modes; {modes}x{modes} is needed"
             )));
         }
-        Ok((&self.products * &covariance_nm2.t()).sum().max(0.0).sqrt())
+        Ok((&products * &covariance_nm2.t()).sum().max(0.0).sqrt())
     }
 }
 

@@ -119,10 +119,7 @@ pub(super) struct ExpectedErrors {
 
 impl ExpectedErrors {
     pub(super) fn new(model: &Model) -> Result<Self> {
-        let pupil = &model.telescope.pupil;
-        let weight = &pupil.amplitude / pupil.weight_sum();
-        let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
-        let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
+        let gram = MapGram::of_basis(&model.telescope.pupil, &model.basis)?;
         Ok(Self { gram, groups: model.basis.groups().to_vec() })
     }
 

@@ -185,14 +185,9 @@ fn noise_nm(estimator: &ModalFitter, covariance_nm2: Option<&Array2<f64>>) -> Re
     let model = estimator.model();
     let Some(covariance_nm2) = covariance_nm2 else { return Ok([f64::INFINITY; 2]) };
     let (n, pupil) = (model.segment_modes, &model.telescope.pupil);
-    // By inner products, because the maps of thousands of segment modes would fill the memory.
-    let weight = &pupil.amplitude / pupil.weight_sum();
-    let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
-    let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
-    let rms_nm = |part: std::ops::Range<usize>| -> Result<f64> {
-        let mut own = Array2::zeros(covariance_nm2.dim());
-        own.slice_mut(s![part.clone(), part.clone()]).assign(&covariance_nm2.slice(s![part.clone(), part]));
-        gram.expected_rms_nm(own.view())
+    let gram = MapGram::of_basis(pupil, &model.basis)?;
+    let rms_nm = |part: std::ops::Range<usize>| {
+        gram.expected_rms_of_nm(part.clone(), covariance_nm2.slice(s![part.clone(), part]))
     };
     Ok([rms_nm(0..n)?, rms_nm(n..covariance_nm2.nrows())?])
 }

@@ -5,6 +5,7 @@ use super::image_selection::SelectedImages;
 use super::iteration::Iteration;
 use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::static_errors::StaticErrors;
+use crate::Result;
 use crate::metrics::MapGram;
 use crate::modal::{DiversityProjection, GlobalMotions, ModeProjector};
 use crate::modes::{Basis, SegmentModes, SmoothBasis};
@@ -12,8 +13,8 @@ use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
-use crate::{Error, Result};
-use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
+use ndarray::{Array1, Array2, Axis, s};
+use std::ops::Range;
 
 /// Static modes, of the segments and NCPA of one basis, on the samples and as maps.
 pub(super) struct StaticModes {
@@ -24,14 +25,14 @@ pub(super) struct StaticModes {
     pub(super) orders: usize,
     pub(super) at_all: Array2<f64>,
     pub(super) at_kept: Array2<f64>,
-    /// All static modes on the scene's grid, those of the segments first, `[mode, y, x]`.
-    maps: Array3<f64>,
+    /// All static modes on the scene's grid, those of the segments first.
+    maps: Basis,
     /// Number of modes of the segments.
     segments: usize,
     /// Motions of the whole mirror, 0 by convention, where segments have tilts. Without tilts a plane through the pistons is a
     /// staircase, which has edges.
     motions: Option<GlobalMotions>,
-    gram: [MapGram; 2],
+    gram: MapGram,
     diversity: DiversityProjection,
     /// Covariance of the NCPA's modes from an error of the diversity common to all images, nm²; `None` where it is known.
     diversity_nm2: Option<Array2<f64>>,
@@ -61,23 +62,20 @@ impl StaticModes {
         let sampled = basis.sampled(pupil)?;
         let diversity = DiversityProjection::new(scene, telescope, &sampled, 0)?;
         let diversity_nm2 = diversity_covariance_nm2(&diversity, scene)?;
-        let smooth = sampled.maps();
-        let projection = match is_loop_known {
-            true => None,
-            false => Some(ModeProjector::new(pupil, &sampled, 0)?).map(|projector| (sampled, projector)),
-        };
         let segment_basis = segment_modes.maps(pupil)?;
         let segments = segment_basis.len();
         let motions = match segment_modes {
             SegmentModes::Piston => None,
             SegmentModes::PistonTipTilt => {
-                Some(GlobalMotions::of_segments(&segment_basis, pupil, segments + smooth.len_of(Axis(0)))?)
+                Some(GlobalMotions::of_segments(&segment_basis, pupil, segments + sampled.len())?)
             }
         };
-        let segment_maps = segment_basis.maps();
-        let gram = [MapGram::new(pupil, segment_maps.view())?, MapGram::new(pupil, smooth.view())?];
-        let maps = ndarray::concatenate(Axis(0), &[segment_maps.view(), smooth.view()])
-            .map_err(|error| Error::Internal(format!("maps of two sizes: {error}")))?;
+        let maps = segment_basis.followed_by(&sampled)?;
+        let gram = MapGram::of_basis(pupil, &maps)?;
+        let projection = match is_loop_known {
+            true => None,
+            false => Some(ModeProjector::new(pupil, &sampled, 0)?).map(|projector| (sampled, projector)),
+        };
         Ok(Self {
             basis,
             family,
@@ -129,8 +127,8 @@ impl StaticModes {
         let [phasing_nm, ncpa_nm] = [0, 1].map(|i| self.map(&coefficients, ranges[i].clone(), pupil));
         let error_budget = self.add_common_errors(&mut errors, &coefficients, uncompensated_nm)?;
         let sigma_nm = |i: usize| {
-            let part_nm2 = errors.covariance_nm2.slice(s![ranges[i].clone(), ranges[i].clone()]);
-            self.sigma(part_nm2, ranges[i].clone(), pupil)
+            let variance_nm2 = self.maps.variance(&errors.covariance_nm2, ranges[i].clone());
+            outside_to_nan(variance_nm2.mapv(|nm2| nm2.max(0.0).sqrt()), pupil)
         };
         let change_nm = match input.filter(|input| input.len() == coefficients.len()) {
             None => [f64::NAN; 2],
@@ -178,7 +176,9 @@ impl StaticModes {
             let mut ncpa_nm2 = errors.covariance_nm2.slice_mut(s![self.segments.., self.segments..]);
             ncpa_nm2 += common_nm2;
         }
-        let ncpa_rms_nm = |covariance_nm2: &Array2<f64>| self.gram[1].expected_rms_nm(covariance_nm2.view());
+        let ncpa = self.segments..self.maps.len();
+        let ncpa_rms_nm =
+            |covariance_nm2: &Array2<f64>| self.gram.expected_rms_of_nm(ncpa.clone(), covariance_nm2.view());
         let diversity_nm = self.diversity_nm2.as_ref().map_or(Ok(0.0), ncpa_rms_nm)?;
         let total_nm = self.expected_rms_nm(&errors.covariance_nm2)?;
         Ok(ErrorBudget::new(total_nm, averaged_nm, diversity_nm, ncpa_rms_nm(&response_nm2)?))
@@ -186,10 +186,10 @@ impl StaticModes {
 
     /// Expected RMS over the pupil of phasing and NCPA with a covariance, piston, tip and tilt removed, nm.
     fn expected_rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 2]> {
-        let expected = |i: usize, range: std::ops::Range<usize>| {
-            self.gram[i].expected_rms_nm(covariance_nm2.slice(s![range.clone(), range]))
+        let expected = |range: Range<usize>| {
+            self.gram.expected_rms_of_nm(range.clone(), covariance_nm2.slice(s![range.clone(), range]))
         };
-        Ok([expected(0, 0..self.segments)?, expected(1, self.segments..covariance_nm2.nrows())?])
+        Ok([expected(0..self.segments)?, expected(self.segments..covariance_nm2.nrows())?])
     }
 
     /// Standard deviation of an unknown loop's response to the segments, in the NCPA's modes, nm; 0 where the loop is known.
@@ -200,33 +200,13 @@ impl StaticModes {
     }
 
     /// Map of the modes in `range`, NaN outside the pupil.
-    fn map(&self, coefficients: &Array1<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
+    fn map(&self, coefficients: &Array1<f64>, range: Range<usize>, pupil: &Pupil) -> Array2<f64> {
         outside_to_nan(self.sum(coefficients, range), pupil)
     }
 
     /// Sum of the modes in `range`, 0 outside their support.
-    fn sum(&self, coefficients: &Array1<f64>, range: std::ops::Range<usize>) -> Array2<f64> {
-        let (_, rows, columns) = self.maps.dim();
-        let mut map = Array2::zeros((rows, columns));
-        for mode in range {
-            map.scaled_add(coefficients[mode], &self.maps.index_axis(Axis(0), mode));
-        }
-        map
-    }
-
-    /// Map of the standard deviation of the modes in `range`, NaN outside the pupil.
-    fn sigma(&self, covariance_nm2: ArrayView2<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
-        let maps = self.maps.slice(s![range, .., ..]);
-        let flat: Array2<f64> = Array2::from_shape_fn((maps.dim().0, pupil.amplitude.len()), |(mode, at)| {
-            maps[[mode, at / maps.dim().2, at % maps.dim().2]]
-        });
-        let half = covariance_nm2.dot(&flat);
-        let variance = (&half * &flat).sum_axis(Axis(0));
-        let n = pupil.amplitude.ncols();
-        outside_to_nan(
-            Array2::from_shape_fn(pupil.amplitude.dim(), |(y, x)| variance[y * n + x].max(0.0).sqrt()),
-            pupil,
-        )
+    fn sum(&self, coefficients: &Array1<f64>, range: Range<usize>) -> Array2<f64> {
+        self.maps.combined(&coefficients.to_vec(), range)
     }
 }
 
