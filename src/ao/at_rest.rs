@@ -5,13 +5,15 @@
 //! Numer. Anal. 49, 1715) finds it in some tens of frames.
 
 use super::Simulator;
+use super::aligned::AlignedBuffer;
+use super::control::Controller;
+use super::footprint::Footprint;
+use super::sensor::Sensor;
+use super::surface::Surface;
 use crate::linear_algebra::SpdInverse;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2};
+use ndarray::{Array1, Array2, ArrayView1};
 use std::collections::VecDeque;
-
-/// Largest change of a command in a frame of a mirror at rest, nm: at a gain of 0.3 the remaining change is three times that.
-const STILL_NM: f64 = 1e-3;
 
 /// Frames after which a mirror that still moves is taken as at rest: directions of weak singular values drift for long, and little.
 const MAX_FRAMES: usize = 300;
@@ -22,14 +24,65 @@ const DEPTH: usize = 12;
 /// Regularisation of an extrapolation, relative to the largest square of a difference: single precision leaves of the smallest.
 const ROUNDING: f64 = 1e-10;
 
-impl Simulator {
-    /// Commands of the mirror at rest behind `opd_nm`, a map over the footprint that is added to the turbulence's frames, from those that are
-    /// on it.
+/// Mirror, sensor and controller of a loop, without turbulence, noise, drift and dither. Clones are independent of each other.
+#[derive(Clone)]
+pub struct LoopAtRest {
+    footprint: Footprint,
+    segments_nm: AlignedBuffer,
+    surface: Surface,
+    sensor: Sensor,
+    reference_mas: Vec<f32>,
+    controller: Controller,
+    residual_nm: AlignedBuffer,
+    slopes_mas: Vec<f32>,
+    number: u64,
+}
+
+impl From<Simulator> for LoopAtRest {
+    fn from(simulator: Simulator) -> Self {
+        let Simulator { correction, residual_nm, .. } = simulator;
+        Self {
+            footprint: correction.footprint,
+            segments_nm: correction.segments_nm,
+            surface: correction.surface,
+            sensor: correction.sensor,
+            reference_mas: correction.reference_mas,
+            controller: correction.controller,
+            slopes_mas: correction.slopes_mas,
+            residual_nm,
+            number: 0,
+        }
+    }
+}
+
+impl LoopAtRest {
+    /// The illuminated part of the simulator's grid.
+    pub fn footprint(&self) -> &Footprint {
+        &self.footprint
+    }
+
+    /// Number of actuators.
+    pub fn actuators(&self) -> usize {
+        self.surface.actuators()
+    }
+
+    /// Frames so far.
+    pub fn frames(&self) -> u64 {
+        self.number
+    }
+
+    /// Holds the mirror at these commands, nm, as if they had been on it in every frame before.
+    pub fn hold(&mut self, commands_nm: ArrayView1<f64>) {
+        self.controller.hold(commands_nm);
+    }
+
+    /// Commands of the mirror at rest behind the wavefront `opd_nm`, a map over the footprint, from those that it holds. No command changes by
+    /// `still_nm` or more in a frame; at a gain of 0.3 the remaining change is three times that.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map of another size; those of [`Simulator::step_with_opd`].
-    pub fn commands_at_rest_nm(&mut self, opd_nm: &[f32]) -> Result<Vec<f64>> {
-        let mut commands_nm = self.held_commands_nm();
+    /// [`Error::Shape`] for a map of another size; [`Error::Internal`] for commands that are not finite.
+    pub fn commands_nm(&mut self, opd_nm: &[f32], still_nm: f64) -> Result<Array1<f64>> {
+        let mut commands_nm = as_f64(self.controller.commands_nm());
         let mut extrapolation = Extrapolation::default();
         // The commands that changed least, for a mirror that still moves at the end.
         let mut best = (f64::INFINITY, commands_nm.clone());
@@ -43,13 +96,33 @@ impl Simulator {
             if largest_nm < best.0 {
                 best = (largest_nm, next_nm.clone());
             }
-            if largest_nm < STILL_NM {
+            if largest_nm < still_nm {
                 break;
             }
             commands_nm = extrapolation.next(next_nm, change_nm)?;
         }
-        Ok(best.1.to_vec())
+        Ok(best.1)
     }
+
+    /// Commands that a frame behind `opd_nm` leads to, with `commands_nm` on the mirror in it and in those before.
+    fn next_commands_nm(&mut self, opd_nm: &[f32], commands_nm: &Array1<f64>) -> Result<Array1<f64>> {
+        if opd_nm.len() != self.residual_nm.len() {
+            let (given, needed) = (opd_nm.len(), self.residual_nm.len());
+            return Err(Error::Shape(format!("a map of {given} samples was given; {needed} are needed")));
+        }
+        self.controller.hold(commands_nm.view());
+        self.residual_nm.copy_from_slice(opd_nm);
+        self.surface.correct(self.controller.commands_nm(), &self.segments_nm, &mut self.residual_nm)?;
+        self.sensor.measure(&self.residual_nm, None, &mut self.slopes_mas)?;
+        self.slopes_mas.iter_mut().zip(&self.reference_mas).for_each(|(slope, reference)| *slope -= reference);
+        self.controller.step(&self.slopes_mas)?;
+        self.number += 1;
+        Ok(as_f64(self.controller.newest_nm()))
+    }
+}
+
+fn as_f64(values: &[f32]) -> Array1<f64> {
+    values.iter().map(|&value| f64::from(value)).collect()
 }
 
 /// Anderson acceleration of a fixed-point iteration.
@@ -93,6 +166,7 @@ impl Extrapolation {
 
 #[cfg(test)]
 mod tests {
+    use super::LoopAtRest;
     use crate::ao::testing::small;
     use crate::ao::{Simulator, UNDISTURBED_LOOP};
 
@@ -108,7 +182,7 @@ mod tests {
         for law in laws {
             let settings: Vec<_> = UNDISTURBED_LOOP.iter().chain(law).copied().collect();
             let scene = small("", &settings);
-            let mut simulator = Simulator::new(&scene).unwrap();
+            let simulator = Simulator::new(&scene).unwrap();
             let pupil = simulator.pupil();
             let stride = simulator.footprint().stride();
             let mut opd_nm = simulator.footprint().zeros();
@@ -116,8 +190,9 @@ mod tests {
             for (y, x) in (0..pupil.grid.samples()).flat_map(|y| (0..pupil.grid.samples() / 2).map(move |x| (y, x))) {
                 opd_nm[y * stride + x] = 40.0;
             }
-            let found_nm = simulator.commands_at_rest_nm(&opd_nm).unwrap();
-            let frames = simulator.correction.number;
+            let mut at_rest = LoopAtRest::from(simulator);
+            let found_nm = at_rest.commands_nm(&opd_nm, 1e-3).unwrap();
+            let frames = at_rest.frames();
             let mut long = Simulator::new(&scene).unwrap();
             let mut expected_nm = Vec::new();
             for _ in 0..2000 {

@@ -38,6 +38,7 @@ mod work;
 
 pub use aligned::AlignedBuffer;
 pub use aot::{AOT_SCENE, check_aot, write_aot};
+pub use at_rest::LoopAtRest;
 pub use atmosphere::Atmosphere;
 pub use camera::{ScienceCamera, View, strehl_on_axis};
 pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, SparseReconstructor, Stability};

@@ -38,7 +38,7 @@ impl Simulator {
         drop(probe);
         let mut simulator = build(scene)?;
         simulator.move_reference(moved_mas)?;
-        simulator.correction.controller.hold(&shift_nm);
+        simulator.correction.controller.hold(shift_nm.view());
         let on_camera_nm = shift_nm.iter().map(|nm| -nm).collect();
         let mirror = SmoothBasis::influence(simulator.influence.clone());
         simulator.seen_truth = Some(truth.with_added_ncpa(&telescope, mirror, on_camera_nm)?);

@@ -26,7 +26,7 @@ use crate::scene::{ControlBasis, ControlScene, OpticalGainMethod, Scene, SensorM
 use crate::source::{Truth, stream};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2};
+use ndarray::Array2;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -206,18 +206,6 @@ impl Simulator {
         }
         self.correction.step(&mut self.residual_nm)?;
         Ok(self.correction.last(&self.residual_nm))
-    }
-
-    /// Commands that the mirror has in the coming frame, nm.
-    pub(super) fn held_commands_nm(&self) -> Array1<f64> {
-        self.correction.controller.commands_nm().iter().map(|&nm| f64::from(nm)).collect()
-    }
-
-    /// Commands that a frame behind the turbulence and `opd_nm` leads to, with `commands_nm` on the mirror in it and in those before.
-    pub(super) fn next_commands_nm(&mut self, opd_nm: &[f32], commands_nm: &Array1<f64>) -> Result<Array1<f64>> {
-        self.correction.controller.hold(commands_nm);
-        self.step_with_opd(opd_nm)?;
-        Ok(self.correction.controller.newest_nm().iter().map(|&nm| f64::from(nm)).collect())
     }
 
     /// Builds a camera of this system's images, with the diversity and the filter of the first channel.

@@ -7,10 +7,11 @@
 use super::mirror_shape::MirrorShape;
 use super::segment_surface::SegmentSurface;
 use crate::Result;
-use crate::ao::{Simulator, UNDISTURBED_LOOP};
+use crate::ao::{LoopAtRest, Simulator, UNDISTURBED_LOOP};
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
-use ndarray::{Array1, Array2, ArrayView1};
+use ndarray::{Array1, Array2, ArrayView1, Axis};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Settings that switch off all aberrations of the scene.
@@ -29,10 +30,19 @@ const NO_ABERRATIONS: [(&str, &str); 9] = [
 /// Piston, or RMS of a tip or tilt, with which the linear part is measured, nm.
 const POKE_NM: f64 = 20.0;
 
+/// Change of a command in a frame below which the mirror is at rest, nm.
+const STILL_NM: f64 = 1e-3;
+
+/// Change where the linear part is measured, nm, 1/2000 of a poke. What it lacks is in the rest, which is simulated about the estimate.
+const STILL_LINEAR_NM: f64 = 1e-2;
+
+/// Least number of pokes that a thread takes at once: enough to pay for its copy of the loop.
+const POKES_PER_THREAD: usize = 16;
+
 /// Closed-loop response of a scene to its segments. Their coefficients are all pistons, or all pistons, all tips and all tilts, nm.
 pub struct ClosedLoopResponse {
-    simulator: Simulator,
-    /// Index in the simulator's map of each sample that a segment owns.
+    at_rest: LoopAtRest,
+    /// Index in the loop's map of each sample that a segment owns.
     owned: Vec<u32>,
     surface: SegmentSurface,
     mirror: MirrorShape,
@@ -52,20 +62,25 @@ impl ClosedLoopResponse {
         let surface = SegmentSurface::new(&owned, pupil, &simulator.telescope().pupil);
         let owned = owned.into_iter().map(|((y, x), _)| (y * stride + x) as u32).collect();
         let mirror = MirrorShape::new(simulator.influence(), samples);
-        Ok(Self { simulator, owned, surface, mirror })
+        Ok(Self { at_rest: LoopAtRest::from(simulator), owned, surface, mirror })
     }
 
-    /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm.
+    /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm, from those of the last simulation.
     ///
     /// # Errors
-    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of [`Simulator::commands_at_rest_nm`].
-    pub fn commands_nm(&mut self, segments_nm: &[f64]) -> Result<Vec<f64>> {
+    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of [`LoopAtRest::commands_nm`].
+    pub fn commands_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
         self.surface.check(segments_nm)?;
-        let mut opd_nm = self.simulator.footprint().zeros();
+        let mut opd_nm = self.at_rest.footprint().zeros();
+        self.fill(segments_nm, &mut opd_nm);
+        self.at_rest.commands_nm(&opd_nm, STILL_NM)
+    }
+
+    /// Writes the wavefront of the segments into a map over the footprint.
+    fn fill(&self, segments_nm: &[f64], opd_nm: &mut [f32]) {
         for (sample, &index) in self.owned.iter().enumerate() {
             opd_nm[index as usize] = self.surface.wavefront_nm(sample, segments_nm) as f32;
         }
-        self.simulator.commands_at_rest_nm(&opd_nm)
     }
 
     /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind segments with these coefficients, nm.
@@ -74,7 +89,7 @@ impl ClosedLoopResponse {
     /// As [`ClosedLoopResponse::commands_nm`].
     pub fn response_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
         let commands_nm = self.commands_nm(segments_nm)?;
-        Ok(self.wavefront_nm(ArrayView1::from(&commands_nm)))
+        Ok(self.wavefront_nm(commands_nm.view()))
     }
 
     /// Contribution of the mirror with these commands to the wavefront at each illuminated sample, nm.
@@ -103,19 +118,24 @@ impl ClosedLoopResponse {
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
     pub(crate) fn linear_commands(&mut self, about_nm: &[f64], modes: Range<usize>) -> Result<Array2<f64>> {
-        let mut responses = Array2::zeros((modes.len(), self.simulator.influence().len()));
-        let mut segments_nm = about_nm.to_vec();
+        let mut responses = Array2::zeros((modes.len(), self.at_rest.actuators()));
         // Of a mirror at rest behind even segments nothing moves.
-        let offset_nm = about_nm.iter().any(|nm| *nm != 0.0).then(|| self.commands_nm(about_nm)).transpose()?;
-        for (mode, mut row) in modes.zip(responses.outer_iter_mut()) {
+        let offset_nm = match about_nm.iter().any(|nm| *nm != 0.0) {
+            true => self.commands_nm(about_nm)?,
+            false => Array1::zeros(self.at_rest.actuators()),
+        };
+        self.surface.check(about_nm)?;
+        let copies = || (self.at_rest.clone(), self.at_rest.footprint().zeros(), about_nm.to_vec());
+        let rows = responses.axis_iter_mut(Axis(0)).into_par_iter().with_min_len(POKES_PER_THREAD);
+        rows.zip(modes).try_for_each_init(copies, |(at_rest, opd_nm, segments_nm), (mut row, mode)| {
             segments_nm[mode] += POKE_NM;
-            row.assign(&ArrayView1::from(&self.commands_nm(&segments_nm)?));
-            if let Some(offset_nm) = &offset_nm {
-                row -= &ArrayView1::from(offset_nm);
-            }
-            row /= POKE_NM;
+            self.fill(segments_nm, opd_nm);
             segments_nm[mode] = about_nm[mode];
-        }
+            // From the same commands for each, so that none depends on those before.
+            at_rest.hold(offset_nm.view());
+            row.assign(&((at_rest.commands_nm(opd_nm, STILL_LINEAR_NM)? - &offset_nm) / POKE_NM));
+            Ok(())
+        })?;
         Ok(responses)
     }
 }

@@ -355,7 +355,7 @@ impl SampledLoopResponse {
 
     /// Response to these segments less its linear part.
     fn nonlinear_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
-        let commands_nm = Array1::from(self.closed_loop.commands_nm(segments_nm)?);
+        let commands_nm = self.closed_loop.commands_nm(segments_nm)?;
         let linear_nm = ArrayView1::from(segments_nm).dot(&self.linear_commands);
         Ok(self.wavefront_nm((commands_nm - &linear_nm).view()))
     }

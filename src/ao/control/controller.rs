@@ -3,7 +3,7 @@
 use super::step_map::{StepMap, Workspace};
 use crate::scene::LoopLag;
 use crate::{Error, Result};
-use ndarray::Array1;
+use ndarray::ArrayView1;
 use std::sync::Arc;
 
 /// Linear recursion of the control law, L = `lag.frames`: the slopes of frame k determine the command of frame k + L,
@@ -86,7 +86,7 @@ impl Controller {
     }
 
     /// Holds the mirror at these commands, nm, as if they had been on it in every frame before.
-    pub(in crate::ao) fn hold(&mut self, commands_nm: &Array1<f64>) {
+    pub(in crate::ao) fn hold(&mut self, commands_nm: ArrayView1<f64>) {
         for commands in self.queue.iter_mut().chain([&mut self.mixed]) {
             commands.iter_mut().zip(commands_nm).for_each(|(out, &nm)| *out = nm as f32);
         }
@@ -110,7 +110,7 @@ mod tests {
     use super::*;
     use crate::Error;
     use crate::scene::ControlScene;
-    use ndarray::Array2;
+    use ndarray::{Array1, Array2};
 
     fn start(bench: &Bench, keys: &str) -> (ControlLaw, Controller) {
         let law = ControlLaw::new(&scene(keys), &bench.plant()).unwrap();

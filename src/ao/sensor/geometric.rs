@@ -6,6 +6,7 @@ use crate::ao::footprint::Footprint;
 use crate::grid::Grid;
 
 /// Geometric slopes of all subapertures.
+#[derive(Clone)]
 pub(super) struct Geometric {
     lenslets: Lenslets,
     footprint: Footprint,

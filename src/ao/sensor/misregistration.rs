@@ -7,6 +7,7 @@ use crate::scene::SensorScene;
 use ndarray::Array2;
 
 /// Interpolation from the wavefront's samples to those of the moved lenslets.
+#[derive(Clone)]
 pub(super) struct Misregistration {
     /// For each illuminated sample of the lenslets: its index, and the indices and weights of the samples around it.
     taps: Vec<(u32, [u32; 4], [f32; 4])>,

@@ -38,6 +38,7 @@ use quad_cell::QuadCell;
 const CALIBRATION_MAS: f64 = 1.0;
 
 /// Detector behind the lenslets or the pyramid.
+#[derive(Clone)]
 enum Detector {
     QuadCell(QuadCell),
     Pixels(Pixels),
@@ -82,6 +83,7 @@ impl Detector {
 }
 
 /// Calibrated wavefront sensor.
+#[derive(Clone)]
 pub struct Sensor {
     lenslets: Lenslets,
     detector: Detector,

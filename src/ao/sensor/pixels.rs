@@ -17,6 +17,7 @@ const USUAL_PIXELS: usize = 8;
 type Lane = [f32; LANES];
 
 /// Spots and pixels of all subapertures.
+#[derive(Clone)]
 pub(super) struct Pixels {
     lenslets: Lenslets,
     turns_per_nm: f32,

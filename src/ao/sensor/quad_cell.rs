@@ -22,6 +22,7 @@ const LONGEST: usize = 64;
 const WINDOW: usize = LONGEST + LANES;
 
 /// Quad cells of all subapertures.
+#[derive(Clone)]
 pub(super) struct QuadCell {
     lenslets: Lenslets,
     turns_per_nm: f32,

@@ -17,6 +17,7 @@ use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 /// Convolutions with the kernels of several offsets.
+#[derive(Clone)]
 pub(super) struct HalfPlanes {
     samples: usize,
     length: usize,

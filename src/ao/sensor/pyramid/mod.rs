@@ -26,6 +26,7 @@ use optics::Optics;
 const FACES: [[f64; 2]; 4] = [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]];
 
 /// Pyramid with its detector.
+#[derive(Clone)]
 pub(super) struct Pyramid {
     optics: Optics,
     pixels: Lenslets,

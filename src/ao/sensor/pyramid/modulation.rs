@@ -12,6 +12,7 @@ use std::ops::Range;
 const STRIP_ERROR: f64 = 1e-4;
 
 /// Points on the circle, and what changes between them.
+#[derive(Clone)]
 pub(super) struct Modulation {
     /// Number of points; 1 without modulation.
     pub points: usize,
@@ -25,6 +26,7 @@ pub(super) struct Modulation {
 }
 
 /// Change from a point of the modulation to the next.
+#[derive(Clone)]
 pub(super) struct Step {
     /// Strips that the edges across u and across v pass over.
     pub strips: [Option<Strip>; 2],

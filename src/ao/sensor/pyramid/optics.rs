@@ -16,6 +16,7 @@ use pulp::Arch;
 use std::f64::consts::TAU;
 
 /// Pyramid over a grid of samples, with the memory of a frame.
+#[derive(Clone)]
 pub(super) struct Optics {
     footprint: Footprint,
     turns_per_nm: f32,

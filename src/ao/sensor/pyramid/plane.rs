@@ -5,6 +5,7 @@ use crate::ao::footprint::LANES;
 use num_complex::Complex32;
 
 /// Field `[row][column]`; columns beyond the samples of a row are 0.
+#[derive(Clone)]
 pub(super) struct Plane {
     samples: usize,
     vectors: usize,
