@@ -2,7 +2,7 @@
 //! eigenvalue solver.
 
 use crate::{Error, Result};
-use faer::linalg::solvers::{DenseSolveCore, Llt};
+use faer::linalg::solvers::{DenseSolveCore, Llt, Solve};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use ndarray::{Array1, Array2, Axis};
 
@@ -64,8 +64,19 @@ impl CholeskyFactor {
         let size = matrix.nrows();
         let factor = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
             .llt(faer::Side::Lower)
-            .map_err(|_| Error::Value(format!("a {size}×{size} covariance is not positive definite")))?;
+            .map_err(|_| Error::Value(format!("a {size}×{size} matrix is not positive definite")))?;
         Ok(Self { factor })
+    }
+
+    /// Rows, and columns, of A.
+    pub(crate) fn size(&self) -> usize {
+        self.factor.L().nrows()
+    }
+
+    /// A⁻¹·`right`, `[size, columns]`.
+    pub(crate) fn solution(&self, right: &Array2<f64>) -> Array2<f64> {
+        let solved = self.factor.solve(faer::Mat::from_fn(right.nrows(), right.ncols(), |i, j| right[[i, j]]));
+        Array2::from_shape_fn(right.dim(), |(i, j)| solved[(i, j)])
     }
 
     /// L⁻¹·`right`, `[size, columns]`, by forward substitution.
@@ -94,6 +105,8 @@ mod tests {
         let white = factor.whiten(&factor.whiten(&matrix).reversed_axes());
         // A dozen operations on numbers of order 1: some 1e-15.
         assert!((&white - &Array2::<f64>::eye(3)).iter().all(|off| off.abs() < 1e-14), "{white}");
+        let right = array![[1.0, 0.0], [2.0, -1.0], [3.0, 0.5]];
+        assert!((matrix.dot(&factor.solution(&right)) - &right).iter().all(|off| off.abs() < 1e-14));
         assert!(CholeskyFactor::new(&array![[1.0, 2.0], [2.0, 1.0]]).is_err());
     }
 }

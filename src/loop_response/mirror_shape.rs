@@ -7,6 +7,10 @@
 use crate::modes::InfluenceFunctions;
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array1, Array2, ArrayView1};
+use std::ops::Range;
+
+/// Value of a function along an axis below which it is out of reach.
+const NEGLIGIBLE: f64 = 1e-8;
 
 /// Mirror of a grid of samples.
 pub(super) struct MirrorShape {
@@ -33,13 +37,18 @@ impl MirrorShape {
     pub(super) fn new(influence: &InfluenceFunctions, samples: &IlluminatedSamples) -> Self {
         let n = samples.samples;
         let coordinates_m: Vec<f64> = (0..n).map(|i| (i as f64 - (n as f64 - 1.0) / 2.0) * samples.pitch_m).collect();
+        Self::at(influence, &samples.indices, &coordinates_m)
+    }
+
+    /// Of the mirror `influence` at the samples with these flat `indices`, on the square grid with these coordinates along both axes.
+    pub(super) fn at(influence: &InfluenceFunctions, indices: &[usize], coordinates_m: &[f64]) -> Self {
         let functions = if influence.is_separable() {
-            let (along, actuators) = influence.along(&coordinates_m);
+            let (along, actuators) = influence.along(coordinates_m);
             Functions::Separable { along, actuators: actuators.to_vec() }
         } else {
-            Functions::Measured(moved_samples(influence, &samples.indices, &coordinates_m))
+            Functions::Measured(moved_samples(influence, indices, coordinates_m))
         };
-        Self { samples: n, indices: samples.indices.clone(), functions }
+        Self { samples: coordinates_m.len(), indices: indices.to_vec(), functions }
     }
 
     /// Number of illuminated samples.
@@ -69,15 +78,89 @@ impl MirrorShape {
             }
         }
     }
+
+    /// Sum over the samples, with these weights, of the products of the influence of each two actuators, `[actuator, actuator]`.
+    pub(super) fn gram(&self, weights: &[f64]) -> Array2<f64> {
+        match &self.functions {
+            Functions::Separable { along, actuators } => {
+                let mut map = Array2::zeros((self.samples, self.samples));
+                for (&index, &weight) in self.indices.iter().zip(weights) {
+                    map[[index / self.samples, index % self.samples]] = weight;
+                }
+                separable_gram(along, actuators, &map)
+            }
+            Functions::Measured(moved) => {
+                let mut movers: Vec<Vec<(usize, f64)>> = vec![Vec::new(); self.indices.len()];
+                for (actuator, moved) in moved.iter().enumerate() {
+                    moved.iter().for_each(|&(sample, value)| movers[sample as usize].push((actuator, value)));
+                }
+                let mut gram = Array2::zeros((moved.len(), moved.len()));
+                for (movers, weight) in movers.iter().zip(weights) {
+                    for (one, value) in movers {
+                        movers.iter().for_each(|(other, its)| gram[[*one, *other]] += weight * value * its);
+                    }
+                }
+                gram
+            }
+        }
+    }
+
+    /// Sum over the samples of a wavefront times the influence of each actuator: the transpose of [`MirrorShape::wavefront_nm`].
+    pub(super) fn products(&self, wavefront_nm: ArrayView1<f64>) -> Array1<f64> {
+        match &self.functions {
+            Functions::Separable { along, actuators } => {
+                let across = along.nrows();
+                let mut map = Array2::zeros((self.samples, self.samples));
+                for (&index, &nm) in self.indices.iter().zip(wavefront_nm) {
+                    map[[index / self.samples, index % self.samples]] = nm;
+                }
+                let products = along.dot(&map).dot(&along.t());
+                actuators.iter().map(|&actuator| products[[actuator / across, actuator % across]]).collect()
+            }
+            Functions::Measured(moved) => {
+                let product = |&(sample, value): &(u32, f64)| value * wavefront_nm[sample as usize];
+                moved.iter().map(|moved| moved.iter().map(product).sum()).collect()
+            }
+        }
+    }
+}
+
+/// Sum over the samples, whose `weights` are a map, of the products of each two functions that are products of one in x and one in y,
+/// `[actuator, actuator]`. Pairs of rows come first, then pairs of columns, both within the reach of the functions.
+fn separable_gram(along: &Array2<f64>, actuators: &[usize], weights: &Array2<f64>) -> Array2<f64> {
+    let (across, n) = along.dim();
+    let mut in_row: Vec<Vec<(usize, usize)>> = vec![Vec::new(); across];
+    actuators.iter().enumerate().for_each(|(number, at)| in_row[at / across].push((at % across, number)));
+    let reach: Vec<Range<usize>> = along
+        .outer_iter()
+        .map(|line| {
+            let seen = |value: &f64| *value > NEGLIGIBLE;
+            let first = line.iter().position(seen).unwrap_or(0);
+            first..line.iter().rposition(seen).map_or(first, |last| last + 1)
+        })
+        .collect();
+    let common = |i: usize, k: usize| reach[i].start.max(reach[k].start)..reach[i].end.min(reach[k].end);
+    let mut gram = Array2::zeros((actuators.len(), actuators.len()));
+    for (row, other) in (0..across).flat_map(|row| (row..across).map(move |other| (row, other))) {
+        let mut columns = Array1::<f64>::zeros(n);
+        for y in common(row, other) {
+            columns.scaled_add(along[[row, y]] * along[[other, y]], &weights.row(y));
+        }
+        for (&(column, own), &(next, its)) in
+            in_row[row].iter().flat_map(|own| in_row[other].iter().map(move |its| (own, its)))
+        {
+            let product = |x: usize| along[[column, x]] * along[[next, x]] * columns[x];
+            let sum: f64 = common(column, next).map(product).sum();
+            gram[[own, its]] = sum;
+            gram[[its, own]] = sum;
+        }
+    }
+    gram
 }
 
 /// Number of each of the samples with these flat `indices` that an actuator moves, and the influence on it, on the square grid with these
 /// coordinates along both axes.
-pub(super) fn moved_samples(
-    influence: &InfluenceFunctions,
-    indices: &[usize],
-    coordinates_m: &[f64],
-) -> Vec<Vec<(u32, f64)>> {
+fn moved_samples(influence: &InfluenceFunctions, indices: &[usize], coordinates_m: &[f64]) -> Vec<Vec<(u32, f64)>> {
     let n = coordinates_m.len();
     let mut numbers = vec![None; n * n];
     indices.iter().zip(0u32..).for_each(|(&index, number)| numbers[index] = Some(number));
@@ -120,5 +203,14 @@ mod tests {
         // Sums of some hundred products of at most 100 nm, each rounded.
         assert!(found_nm.len() == shape.len() && expected_nm.dot(&expected_nm) > 0.0);
         assert!(found_nm.iter().zip(&expected_nm).all(|(found, expected)| (found - expected).abs() < 1e-10));
+        let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
+        let expected = (&shapes * &ArrayView1::from(&samples.amplitude)).dot(&shapes.t());
+        // What is out of reach is below 1e-8 of a function, at a few hundred samples.
+        assert!((shape.gram(&samples.amplitude) - &expected).iter().all(|off| off.abs() < 1e-5));
+        assert!(expected.diag().iter().all(|square| *square > 1e-2));
+        // Of the transpose: sums of some thousand products, to the rounding of 100 nm × 100 nm.
+        let other_nm = Array1::from_shape_fn(shape.len(), |i| 100.0 * (0.9 * i as f64).cos());
+        let (forward, back) = (found_nm.dot(&other_nm), commands_nm.dot(&shape.products(other_nm.view())));
+        assert!(forward.abs() > 1.0 && (forward - back).abs() < 1e-9 * forward.abs().max(1e4), "{forward} {back}");
     }
 }

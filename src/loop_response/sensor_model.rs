@@ -4,12 +4,16 @@
 //! the turbulence, its aliases, the mirror and the segments cancel image by image, and the scatter is that of the noise of sensor
 //! and retrieval: 2 nm of a mode in an image instead of 20.
 
+mod interpolation;
+#[cfg(test)]
+mod tests;
+
 use super::gain_loss::loop_gains;
 use super::mirror_fit::MirrorFit;
 use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::{SlopeRegression, slope_gain};
-use crate::ao::{Footprint, Lenslets, Sensor, actuators, sensor_pupil};
+use crate::ao::{AlignedBuffer, Footprint, Lenslets, Sensor, actuators, sensor_pupil};
 use crate::linear_algebra::SpdInverse;
 use crate::machine;
 use crate::modes::{InfluenceFunctions, Samples, SmoothBasis};
@@ -18,11 +22,9 @@ use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
+use interpolation::{interpolated, interpolation};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
-
-#[cfg(test)]
-mod tests;
 
 /// Amplitude with which the response to a mode is measured, ±, nm RMS: small against the sensor's wavelength.
 const POKE_NM: f64 = 10.0;
@@ -42,8 +44,15 @@ const MOVED_SHAPE_ERROR: f64 = 0.025;
 /// Response of a mode to reference slopes, over the RMS of all, below which it has not been moved.
 const LEAST_RESPONSE: f64 = 1e-3;
 
-/// Least weight of illuminated neighbours in a bilinear interpolation: with less the nearest sample is taken.
-const MIN_WEIGHT: f64 = 1e-3;
+/// Least number of measurements that a thread makes at once: enough to pay for its copy of the sensor.
+const ROWS_OF_A_THREAD: usize = 4;
+
+/// A thread's own copy of the sensor, with its work arrays.
+struct OwnSensor {
+    sensor: Sensor,
+    map_nm: AlignedBuffer,
+    slopes_mas: Vec<f32>,
+}
 
 /// Wavefront sensor of a scene, for wavefronts on other samples than its own.
 pub struct SensorModel {
@@ -62,8 +71,6 @@ pub struct SensorModel {
     grid: Grid,
     /// The mirror that takes corrections of the NCPA.
     mirror: Option<InfluenceFunctions>,
-    map_nm: Vec<f32>,
-    slopes_mas: Vec<f32>,
     /// Response of the slopes to the modes, once it is measured.
     response: Option<SensorResponse>,
     /// [`SensorModel::reference_mas_per_nm`], once it is measured.
@@ -112,8 +119,6 @@ impl SensorModel {
             samples: fine,
             grid: pupil.grid,
             mirror: scene.has_mirror().then(|| actuators(scene, sensor.lenslets(), telescope)).transpose()?,
-            map_nm: footprint.zeros().to_vec(),
-            slopes_mas: vec![0.0; sensor.slopes()],
             response: None,
             reference_mas_per_nm: None,
             moved_reference_mas: None,
@@ -144,7 +149,7 @@ impl SensorModel {
 
     /// Number of slopes, `[all x, all y]`.
     pub fn slopes(&self) -> usize {
-        self.slopes_mas.len()
+        self.sensor.slopes()
     }
 
     /// Reference slopes about which a loop behind segments without errors moves its mirror by 1 nm of each mode, `[mode, slope]`, mas; `None`
@@ -159,7 +164,7 @@ impl SensorModel {
     /// # Errors
     /// [`Error::Shape`] for another number of slopes or images.
     pub fn compare_slopes(
-        &mut self,
+        &self,
         wavefronts_nm: ArrayView2<f64>,
         slopes_mas: ArrayView2<f64>,
     ) -> Result<SlopeRegression> {
@@ -170,10 +175,10 @@ impl SensorModel {
         }
         let flat_nm = self.flat_segments_nm();
         let mut predicted_mas = Array2::zeros(slopes_mas.dim());
-        for (mut predicted, wavefront_nm) in predicted_mas.outer_iter_mut().zip(wavefronts_nm.outer_iter()) {
-            let fine_nm = interpolated(&self.interpolation, wavefront_nm);
-            predicted.assign(&self.measure(&flat_nm, fine_nm.view())?);
-        }
+        self.fill_rows(predicted_mas.view_mut(), |image, own| {
+            let fine_nm = interpolated(&self.interpolation, wavefronts_nm.row(image));
+            self.measure(own, &flat_nm, fine_nm.view())
+        })?;
         let lenslets = self.sensor.lenslets();
         Ok(SlopeRegression::new(predicted_mas.view(), slopes_mas, lenslets.across, &lenslets.subapertures))
     }
@@ -183,14 +188,38 @@ impl SensorModel {
         vec![0.0; self.surface.segments()]
     }
 
-    /// Computes the slopes of a wavefront: segments with sharp edges, and the rest at the samples of the sensor.
-    fn measure(&mut self, segments_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
-        debug_assert_eq!(self.map_nm.len(), self.footprint.len());
-        for (sample, (&index, rest)) in self.indices.iter().zip(rest_nm).enumerate() {
-            self.map_nm[index] = (rest + self.surface.wavefront_nm(sample, segments_nm)) as f32;
+    /// A sensor of its own for a thread.
+    fn own_sensor(&self) -> OwnSensor {
+        OwnSensor {
+            sensor: self.sensor.clone(),
+            map_nm: self.footprint.zeros(),
+            slopes_mas: vec![0.0; self.sensor.slopes()],
         }
-        self.sensor.measure(&self.map_nm, None, &mut self.slopes_mas)?;
-        Ok(self.slopes_mas.iter().map(|&slope| f64::from(slope)).collect())
+    }
+
+    /// Fills the rows of `slopes_mas` with the slopes that `measure` gives for each, on all cores.
+    fn fill_rows(
+        &self,
+        mut slopes_mas: ArrayViewMut2<f64>,
+        measure: impl Fn(usize, &mut OwnSensor) -> Result<Array1<f64>> + Sync,
+    ) -> Result<()> {
+        let rows = slopes_mas.axis_iter_mut(Axis(0)).into_par_iter().enumerate().with_min_len(ROWS_OF_A_THREAD);
+        rows.try_for_each_init(
+            || self.own_sensor(),
+            |own, (row, mut slopes_mas)| {
+                slopes_mas.assign(&measure(row, own)?);
+                Ok(())
+            },
+        )
+    }
+
+    /// Computes the slopes of a wavefront: segments with sharp edges, and the rest at the samples of the sensor.
+    fn measure(&self, own: &mut OwnSensor, segments_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
+        for (sample, (&index, rest)) in self.indices.iter().zip(rest_nm).enumerate() {
+            own.map_nm[index] = (rest + self.surface.wavefront_nm(sample, segments_nm)) as f32;
+        }
+        own.sensor.measure(&own.map_nm, None, &mut own.slopes_mas)?;
+        Ok(own.slopes_mas.iter().map(|&slope| f64::from(slope)).collect())
     }
 
     /// Information on the NCPA from the wavefronts (`[image, sample]`, nm) of images and the slopes measured during each
@@ -231,9 +260,7 @@ impl SensorModel {
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
         let mut expected_mas = Array2::zeros((images, slopes));
-        for (image, rest_nm) in rests_nm.iter().enumerate() {
-            expected_mas.row_mut(image).assign(&self.measure(segments_nm, rest_nm.view())?);
-        }
+        self.fill_rows(expected_mas.view_mut(), |image, own| self.measure(own, segments_nm, rests_nm[image].view()))?;
         // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
         // iterations end where the differences vanish, for any response.
         let response = match self.response.take() {
@@ -273,102 +300,74 @@ impl SensorModel {
     ///
     /// The loop is to make the shape that is nearest to a mode over the pupil, so the response is that of this shape. About the slopes of the mode itself it
     /// would make the shape whose slopes are nearest: what the mirror leaves has slopes, too, which it would answer with other shapes.
-    fn measure_references(&mut self, response_mas: &Array2<f64>, rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
+    fn measure_references(&self, response_mas: &Array2<f64>, rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         if !self.sensor.is_local() {
             return Ok(response_mas * self.gain);
         }
         let (segments_nm, flat_nm) = (self.flat_segments_nm(), Array1::zeros(self.modes.ncols()));
-        let flat_mas = self.tilt_response_mas(&segments_nm, &flat_nm)?;
+        let flat_mas = self.tilt_response_mas(&mut self.own_sensor(), &segments_nm, &flat_nm)?;
         let mut responses_mas = Array2::zeros((rests_nm.len(), self.slopes()));
-        for (mut response_mas, rest_nm) in responses_mas.outer_iter_mut().zip(rests_nm) {
-            response_mas.assign(&self.tilt_response_mas(&segments_nm, rest_nm)?);
-        }
+        self.fill_rows(responses_mas.view_mut(), |image, own| {
+            self.tilt_response_mas(own, &segments_nm, &rests_nm[image])
+        })?;
         let mirror = self.mirror.as_ref();
         let actuators = mirror.map_or(0, InfluenceFunctions::len);
         let share = (actuators as f64 / self.slopes() as f64).min(1.0);
         let gains = loop_gains(responses_mas.view(), flat_mas.view(), share) * self.gain;
         let mirror = mirror.map(|mirror| MirrorFit::new(mirror, &self.samples, self.grid)).transpose()?;
+        let taken_nm = mirror.map_or_else(|| self.modes.clone(), |mirror| mirror.shapes_nm(self.modes.view()));
         let mut references = Array2::zeros(response_mas.dim());
-        for (mode, mut reference) in references.outer_iter_mut().enumerate() {
-            let mode_nm = self.modes.row(mode);
-            let taken_nm = mirror.as_ref().map_or_else(|| mode_nm.to_owned(), |mirror| mirror.shape_nm(mode_nm));
-            reference.assign(&(self.response_to(&taken_nm, &segments_nm, &flat_nm)? * &gains));
-        }
+        self.fill_rows(references.view_mut(), |mode, own| {
+            Ok(self.response_to(own, taken_nm.row(mode), &segments_nm, &flat_nm)? * &gains)
+        })?;
         Ok(references)
     }
 
     /// Slopes along the axis of a tilt of each subaperture's wavefront, about a wavefront.
-    fn tilt_response_mas(&mut self, segments_nm: &[f64], rest_nm: &Array1<f64>) -> Result<Array1<f64>> {
+    fn tilt_response_mas(
+        &self,
+        own: &mut OwnSensor,
+        segments_nm: &[f64],
+        rest_nm: &Array1<f64>,
+    ) -> Result<Array1<f64>> {
         let half = self.slopes() / 2;
         let mut response_mas = Array1::zeros(2 * half);
         for (axis, slopes) in [s![..half], s![half..]].into_iter().enumerate() {
             let places_m = if axis == 0 { &self.samples.xs_m } else { &self.samples.ys_m };
             let tilt_nm: Array1<f64> = places_m.iter().map(|place_m| place_m * TILT_NM_PER_M / POKE_NM).collect();
-            response_mas.slice_mut(slopes).assign(&self.response_to(&tilt_nm, segments_nm, rest_nm)?.slice(slopes));
+            let along_mas = self.response_to(own, tilt_nm.view(), segments_nm, rest_nm)?;
+            response_mas.slice_mut(slopes).assign(&along_mas.slice(slopes));
         }
         Ok(response_mas)
     }
 
     /// Slopes for a wavefront, of 1 nm as a mode, about another one: half the difference of a push and a pull, mas.
     fn response_to(
-        &mut self,
-        shape_nm: &Array1<f64>,
+        &self,
+        own: &mut OwnSensor,
+        shape_nm: ArrayView1<f64>,
         segments_nm: &[f64],
         rest_nm: &Array1<f64>,
     ) -> Result<Array1<f64>> {
-        let poke_nm = shape_nm * POKE_NM;
-        let push_mas = self.measure(segments_nm, (rest_nm + &poke_nm).view())?;
-        let pull_mas = self.measure(segments_nm, (rest_nm - &poke_nm).view())?;
+        let poke_nm = &shape_nm * POKE_NM;
+        let push_mas = self.measure(own, segments_nm, (rest_nm + &poke_nm).view())?;
+        let pull_mas = self.measure(own, segments_nm, (rest_nm - &poke_nm).view())?;
         Ok((push_mas - pull_mas) * (0.5 / POKE_NM))
     }
 
     /// Measures the slopes for 1 nm of each mode about some of the wavefronts, `[mode, slope]`, mas.
-    fn measure_response(&mut self, segments_nm: &[f64], rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
+    fn measure_response(&self, segments_nm: &[f64], rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         let count = RESPONSE_IMAGES.min(rests_nm.len());
-        let mut response = Array2::zeros((self.modes.nrows(), self.slopes()));
-        for (mode, mut response) in response.outer_iter_mut().enumerate() {
-            let mode_nm = self.modes.row(mode).to_owned();
+        let mut responses = Array2::zeros((self.modes.nrows(), self.slopes()));
+        self.fill_rows(responses.view_mut(), |mode, own| {
+            let mut response = Array1::zeros(self.slopes());
             for share in 0..count {
                 let rest_nm = &rests_nm[share * rests_nm.len() / count];
-                response.scaled_add(1.0 / count as f64, &self.response_to(&mode_nm, segments_nm, rest_nm)?);
+                let about_mas = self.response_to(own, self.modes.row(mode), segments_nm, rest_nm)?;
+                response.scaled_add(1.0 / count as f64, &about_mas);
             }
-        }
-        Ok(response)
+            Ok(response)
+        })?;
+        Ok(responses)
     }
-}
-
-/// Interpolates a wavefront from the retrieved samples to those of the sensor.
-fn interpolated(interpolation: &[[(u32, f64); 4]], wavefront_nm: ArrayView1<f64>) -> Array1<f64> {
-    let at = |corners: &[(u32, f64); 4]| corners.iter().map(|&(s, w)| w * wavefront_nm[s as usize]).sum::<f64>();
-    interpolation.iter().map(at).collect()
-}
-
-/// Bilinear interpolation between illuminated samples: the weights of dark ones go to the others, and where all are dark the
-/// nearest illuminated sample is taken.
-fn interpolation(samples: &IlluminatedSamples, fine: &Samples) -> Vec<[(u32, f64); 4]> {
-    let n = samples.samples;
-    let mut sample_at = vec![None; n * n];
-    samples.indices.iter().enumerate().for_each(|(sample, &index)| sample_at[index] = Some(sample as u32));
-    let index = |c_m: f64| (c_m / samples.pitch_m + (n as f64 - 1.0) / 2.0).clamp(0.0, n as f64 - 1.0);
-    let between = |x_m: f64, y_m: f64| {
-        let (x, y) = (index(x_m), index(y_m));
-        let (u, v) = ((x as usize).min(n - 2), (y as usize).min(n - 2));
-        let (fx, fy) = (x - u as f64, y - v as f64);
-        let corners = [
-            (v, u, (1.0 - fy) * (1.0 - fx)),
-            (v, u + 1, (1.0 - fy) * fx),
-            (v + 1, u, fy * (1.0 - fx)),
-            (v + 1, u + 1, fy * fx),
-        ];
-        let mut found = corners.map(|(v, u, w)| sample_at[v * n + u].map_or((0, 0.0), |sample| (sample, w)));
-        let whole: f64 = found.iter().map(|(_, w)| w).sum();
-        if whole > MIN_WEIGHT {
-            found.iter_mut().for_each(|(_, w)| *w /= whole);
-            return found;
-        }
-        let away = |sample: usize| (samples.xs_m[sample] - x_m).powi(2) + (samples.ys_m[sample] - y_m).powi(2);
-        let nearest = (0..samples.len()).min_by(|&a, &b| away(a).total_cmp(&away(b))).unwrap_or(0);
-        [(nearest as u32, 1.0), (0, 0.0), (0, 0.0), (0, 0.0)]
-    };
-    fine.xs_m.iter().zip(&fine.ys_m).map(|(&x_m, &y_m)| between(x_m, y_m)).collect()
 }

@@ -53,7 +53,7 @@ pub(super) fn check(
     let kept = samples.select_bright(MIN_AMPLITUDE);
     let telescope = Telescope::new(scene)?;
     let basis = NcpaBasis::new(NcpaFamily::Zernike { highest_order: 2 }, scene, &telescope)?;
-    let mut sensor = SensorModel::new(scene, &telescope, &samples.subset(&kept), &basis.modes)?;
+    let sensor = SensorModel::new(scene, &telescope, &samples.subset(&kept), &basis.modes)?;
     let wavefronts_nm = wavefronts_nm.select(Axis(0), &used).select(Axis(1), &kept);
     let measured_mas = slopes_mas.select(Axis(0), &used);
     let found = sensor.compare_slopes(wavefronts_nm.view(), measured_mas.view())?;

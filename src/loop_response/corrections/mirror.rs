@@ -8,7 +8,7 @@ use crate::modes::Samples;
 use crate::pupil::Pupil;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
-use ndarray::{Array1, Array2, ArrayView1};
+use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 /// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
 /// pupil. The mirror is subtracted from the wavefront.
@@ -24,7 +24,8 @@ pub(super) fn mirror_commands(
         NcpaModes::Smooth(basis) => ArrayView1::from(ncpa_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?),
         NcpaModes::Maps(map_nm) => without_pointing(&telescope.pupil, &samples, &map_nm(ncpa_nm))?,
     };
-    let commands_nm = MirrorFit::new(&influence, &samples, telescope.pupil.grid)?.commands_nm(wanted_nm.view());
+    let commands_nm =
+        MirrorFit::new(&influence, &samples, telescope.pupil.grid)?.commands_nm(wanted_nm.view().insert_axis(Axis(0)));
     let positions_m = influence.positions_m().into_iter().map(|(x_m, y_m)| [x_m, y_m]);
     Ok(positions_m.zip(commands_nm).collect())
 }

@@ -5,6 +5,7 @@ use crate::ao::{Simulator, UNDISTURBED_LOOP};
 use crate::modes::Zernikes;
 use crate::retrieval::tests::scene;
 use crate::source::{Truth, stream};
+use ndarray::Axis;
 
 /// NCPA of which the mirror can make a part only: Zernike polynomials of high order, nm RMS over the circle.
 const NCPA_NM: [(usize, f64); 3] = [(24, 20.0), (62, 20.0), (80, 20.0)];
@@ -26,7 +27,9 @@ fn a_loop_about_the_reference_slopes_makes_nearly_the_nearest_shape() {
     let ncpa_nm = Array1::from(ncpa_nm);
     let wanted_nm = ncpa_nm.dot(&basis.evaluate(&samples.xs_m, &samples.ys_m).unwrap());
     let influence = actuators(&scene, sensor.sensor.lenslets(), &telescope).unwrap();
-    let nearest_nm = MirrorFit::new(&influence, &samples, pupil.grid).unwrap().shape_nm(wanted_nm.view());
+    let nearest_nm =
+        MirrorFit::new(&influence, &samples, pupil.grid).unwrap().shapes_nm(wanted_nm.view().insert_axis(Axis(0)));
+    let nearest_nm = nearest_nm.row(0).to_owned();
     let truth = Truth::draw(&scene, &telescope, &mut stream(3, 0)).unwrap();
     let columns = truth.ncpa_nm.ncols();
     let unused_mas = Array2::zeros((NCPA_NM.len(), sensor.slopes()));
