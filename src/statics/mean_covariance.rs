@@ -10,6 +10,7 @@ use super::covariance::ResidualCovariance;
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::IlluminatedSamples;
 use crate::{Error, Result};
+use ndarray::linalg::general_mat_mul;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 use num_complex::Complex32;
 use rayon::prelude::*;
@@ -22,6 +23,9 @@ const TOLERANCE: f64 = 1e-3;
 /// Prior RMS of a sample of the mean wavefront at frequencies that images do not resolve, nm: more than turbulence and static
 /// errors have there together.
 const UNRESOLVED_NM: f64 = 50.0;
+
+/// Rows of scalar products that a thread computes at once.
+const ROWS_OF_PRODUCTS: usize = 64;
 
 /// Iterations after which a solution fails: ten times the usual number.
 const MAX_ITERATIONS: usize = 250;
@@ -54,7 +58,19 @@ pub struct Weighted {
 impl Weighted {
     /// Computes B·C⁻¹·B′ᵀ for the columns `others`, B′, of which `weighted` is X′.
     pub fn products(&self, others: ArrayView2<f64>, weighted: &Weighted) -> Array2<f64> {
-        self.solution.dot(&others.t()) + self.residual.dot(&weighted.solution.t())
+        let mut products = Array2::zeros((self.solution.nrows(), others.nrows()));
+        let [solution, residual] =
+            [&self.solution, &self.residual].map(|own| own.axis_chunks_iter(Axis(0), ROWS_OF_PRODUCTS));
+        products
+            .axis_chunks_iter_mut(Axis(0), ROWS_OF_PRODUCTS)
+            .into_par_iter()
+            .zip(solution.into_par_iter())
+            .zip(residual.into_par_iter())
+            .for_each(|((mut products, solution), residual)| {
+                general_mat_mul(1.0, &solution, &others.t(), 0.0, &mut products);
+                general_mat_mul(1.0, &residual, &weighted.solution.t(), 1.0, &mut products);
+            });
+        products
     }
 
     /// What [`products`](Self::products) adds to X·b′ for one column, of which `weighted` is X′.
