@@ -1,7 +1,7 @@
 //! CPU worker: the MAP retrieval of one image on one thread.
 
 use super::results::RetrievedImage;
-use super::static_wavefront::StaticWavefront;
+use super::task::KnownOfImage;
 use super::workspace::{ThreadBuffers, Workspace};
 use crate::Result;
 use crate::imaging::Polynomial;
@@ -9,20 +9,20 @@ use crate::modal::PreparedFrame;
 use crate::optimize::Progress;
 
 impl<T: Polynomial> Workspace<T> {
-    /// Retrieves the wavefront of one image on this thread, about the wavefront `about`, without `blur_e` (empty where it is unknown). `check_cancel` is called before each
-    /// evaluation: an image of a large telescope takes seconds.
+    /// Retrieves the wavefront of one image on this thread. `check_cancel` is called before each evaluation: an image of a large telescope
+    /// takes seconds.
     ///
     /// # Errors
     /// Those of `check_cancel`; broken promises of this module's.
     pub(super) fn retrieve(
         &self,
         mut prepared: PreparedFrame,
-        (about, blur_e): (Option<&StaticWavefront>, &[f32]),
+        known: KnownOfImage,
         check_cancel: impl Fn() -> Result<()>,
     ) -> Result<RetrievedImage> {
         let model = &self.model;
         let (mut optimisation, mut buffers) = (self.take_optimisation()?, self.take_buffers());
-        optimisation.begin(model, &mut prepared, (about, blur_e))?;
+        optimisation.begin(model, &mut prepared, known)?;
         model.chain.set(&mut buffers.loaded, &prepared.exposure)?;
         loop {
             check_cancel()?;

@@ -6,53 +6,20 @@
 use super::optimisation::MapOptimisation;
 use super::results::RetrievedImage;
 use super::settings::RetrievalSettings;
-use super::static_wavefront::StaticWavefront;
+use super::task::RetrievalTask;
 use super::workspace::Workspace;
 use crate::imaging::{Chain, Evaluation, Exposure, Polynomial};
 use crate::modal::PreparedFrame;
-use crate::optimize::{CancelFlag, Progress};
+use crate::optimize::Progress;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
-use std::sync::atomic::Ordering;
 
 /// Largest memory of the optimisations of a batch.
 const OPTIMISATION_BYTES: usize = 512 << 20;
 
-/// A prepared image, or the reason why it is unusable.
-pub(super) type PreparedImage = std::result::Result<PreparedFrame, String>;
-
 /// Takes the result of an image, or the reason why it is unusable.
 pub(super) type Store<'a> = dyn FnMut(usize, std::result::Result<RetrievedImage, String>) + 'a;
-
-/// The images to retrieve, and the static wavefront about which they are retrieved.
-pub(super) struct RetrievalTask<'a> {
-    /// Number of images.
-    pub(super) images: usize,
-    /// Prepares one of them.
-    pub(super) prepare: &'a (dyn Fn(usize) -> Result<PreparedImage> + Sync),
-    pub(super) about: Option<&'a StaticWavefront>,
-    /// What the blur of the exposures changes in each image, electrons; empty where it is not known.
-    pub(super) blur_e: &'a [Vec<f32>],
-    pub(super) cancel: Option<&'a CancelFlag>,
-}
-
-impl RetrievalTask<'_> {
-    /// What the blur changes in `image`, electrons; empty where it is not known.
-    pub(super) fn blur_of(&self, image: usize) -> &[f32] {
-        self.blur_e.get(image).map_or(&[], Vec::as_slice)
-    }
-
-    /// # Errors
-    /// [`Error::Interrupted`] where the task is cancelled, with the number of images that are done.
-    pub(super) fn check_cancel(&self, done: impl FnOnce() -> usize) -> Result<()> {
-        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            let (done, all) = (done(), self.images);
-            return Err(Error::Interrupted(format!("{done} of {all} wavefronts were retrieved")));
-        }
-        Ok(())
-    }
-}
 
 /// A chain that evaluates batches.
 pub(super) struct DeviceBatch {
@@ -124,7 +91,7 @@ impl<T: Polynomial> Workspace<T> {
             Err(refusal) => return Ok(Err(refusal)),
         };
         let mut optimisation = self.take_optimisation()?;
-        optimisation.begin(&self.model, &mut prepared, (task.about, task.blur_of(image)))?;
+        optimisation.begin(&self.model, &mut prepared, task.known(image))?;
         Ok(Ok((prepared, optimisation)))
     }
 }

@@ -1,8 +1,9 @@
 //! Retrieval of the images of a task in one precision: on a device where one was chosen, else on every core of the CPU.
 
-use super::device_batch::{DeviceBatch, RetrievalTask};
+use super::device_batch::DeviceBatch;
 use super::model::MapModel;
 use super::results::RetrievedWavefronts;
+use super::task::RetrievalTask;
 use super::workspace::Workspace;
 use crate::Result;
 use crate::imaging::Polynomial;
@@ -70,9 +71,7 @@ impl<T: Polynomial> Engine<T> {
             let check_cancel = || task.check_cancel(|| done.load(Ordering::Relaxed));
             check_cancel()?;
             let result = match (task.prepare)(image)? {
-                Ok(prepared) => {
-                    Ok(self.workspace.retrieve(prepared, (task.about, task.blur_of(image)), check_cancel)?)
-                }
+                Ok(prepared) => Ok(self.workspace.retrieve(prepared, task.known(image), check_cancel)?),
                 Err(refusal) => Err(refusal),
             };
             out.store(result);

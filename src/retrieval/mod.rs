@@ -26,6 +26,7 @@ mod sampling;
 mod segment_amplitudes;
 mod settings;
 mod static_wavefront;
+mod task;
 mod workspace;
 
 pub use illuminated_samples::IlluminatedSamples;

@@ -13,7 +13,7 @@ use super::model::MapModel;
 use super::preconditioner::{ImagePreconditioner, PreconditionerScratch};
 use super::results::{RetrievalReport, RetrievedImage};
 use super::segment_amplitudes::SegmentAmplitudes;
-use super::static_wavefront::StaticWavefront;
+use super::task::KnownOfImage;
 use crate::Result;
 use crate::imaging::{Evaluation, Polynomial, Scratch};
 use crate::modal::{PreparedFrame, photometry};
@@ -38,6 +38,7 @@ enum Point {
 pub(super) struct MapOptimisation<T: Polynomial> {
     solver: QuasiNewton,
     start: Vec<f64>,
+    keeps_coordinates: bool,
     preconditioner: ImagePreconditioner<T>,
     /// nm of each free coefficient for u = 1, and the weight of u² in the prior.
     scales: Vec<[f64; 2]>,
@@ -62,6 +63,7 @@ impl<T: Polynomial> MapOptimisation<T> {
             solver: QuasiNewton::new(model.metric.clone(), &start, model.optimizer.clone())?,
             gradient: start.clone(),
             start,
+            keeps_coordinates: false,
             preconditioner: model.preconditioner.image_preconditioner(),
             scales: vec![[0.0; 2]; model.free.len()],
             amplitudes: SegmentAmplitudes::new(model.settings.segment_amplitude_rms, &model.segment_samples),
@@ -74,13 +76,13 @@ impl<T: Polynomial> MapOptimisation<T> {
         })
     }
 
-    /// Begins an image: sets the weights in `prepared`, takes `blur_e` (empty where it is unknown) off its data, and sets the coordinates and
-    /// the static wavefront `about` which it is sought.
+    /// Begins an image: sets the weights in `prepared`, takes the blur off its data, and sets the coordinates, the static wavefront about which
+    /// it is sought, and the start.
     pub(super) fn begin(
         &mut self,
         model: &MapModel<T>,
         prepared: &mut PreparedFrame,
-        (about, blur_e): (Option<&StaticWavefront>, &[f32]),
+        KnownOfImage { about, blur_e, start }: KnownOfImage,
     ) -> Result<()> {
         let (mut flux_e, mut weighed_e) = (0.0, 0.0);
         let exposure = &mut prepared.exposure;
@@ -119,6 +121,11 @@ impl<T: Polynomial> MapOptimisation<T> {
             self.base_nm[..about.segments_nm.len()].copy_from_slice(&about.segments_nm);
             let turns = about.smooth_nm.iter().map(|nm| T::narrow(nm / wavelength_nm));
             self.base_turns.iter_mut().zip(turns).for_each(|(out, turns)| *out = turns);
+        }
+        self.keeps_coordinates = start.is_some();
+        self.start.fill(0.0);
+        if let Some(start) = start.filter(|start| start.len() == self.start.len()) {
+            self.start.iter_mut().zip(start).for_each(|(out, &x)| *out = f64::from(x));
         }
         // The information assumed by the coordinates is less than the image's by this factor, and the curvature in them more.
         let scale = (information_nm2 / self.information_nm2).sqrt();
@@ -229,6 +236,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         let ln_amplitudes = self.amplitudes.ln().to_vec();
         let blur_e =
             model.blur.iter().flat_map(|blur| blur.change(&psf)).map(|change| (flux_e * change) as f32).collect();
-        RetrievedImage { wavefront_nm, coefficients_nm, ln_amplitudes, blur_e, report }
+        let coordinates = outcome.x.iter().filter(|_| self.keeps_coordinates).map(|&x| x as f32).collect();
+        RetrievedImage { wavefront_nm, coefficients_nm, ln_amplitudes, blur_e, coordinates, report }
     }
 }

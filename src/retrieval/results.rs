@@ -45,6 +45,8 @@ pub(super) struct RetrievedImage {
     pub(super) ln_amplitudes: Vec<f64>,
     /// What the blur of the exposure changes in the image, electrons; empty where it is not known.
     pub(super) blur_e: Vec<f32>,
+    /// Coordinates of the optimiser at the estimate.
+    pub(super) coordinates: Vec<f32>,
     pub(super) report: RetrievalReport,
 }
 
@@ -61,6 +63,8 @@ pub struct RetrievedWavefronts {
     /// What the motion of the turbulence during each exposure changes in its image, electrons in the model's pixels; empty where it is not
     /// known. The next retrieval of the images takes it off.
     pub blur_e: Vec<Vec<f32>>,
+    /// Coordinates of the optimiser at each image's estimate, for [`Retriever::retrieve_from`](super::Retriever::retrieve_from), which alone keeps them.
+    pub(super) coordinates: Vec<Vec<f32>>,
     /// Report of each image.
     pub reports: Vec<RetrievalReport>,
 }
@@ -74,6 +78,7 @@ impl RetrievedWavefronts {
             coefficients_nm: unknown(coefficients),
             ln_amplitudes: unknown(amplitudes),
             blur_e: vec![Vec::new(); images],
+            coordinates: vec![Vec::new(); images],
             reports: vec![RetrievalReport::refused(String::new()); images],
         }
     }
@@ -81,13 +86,13 @@ impl RetrievedWavefronts {
     /// Mutable views of the images' results, in turn.
     pub(super) fn images_mut(&mut self) -> impl Iterator<Item = ImageResultMut<'_>> {
         let arrays = self.wavefront_nm.axis_iter_mut(Axis(0)).zip(self.coefficients_nm.axis_iter_mut(Axis(0)));
-        let arrays = arrays.zip(self.ln_amplitudes.axis_iter_mut(Axis(0))).zip(&mut self.blur_e).zip(&mut self.reports);
-        arrays.map(|((((wavefront_nm, coefficients_nm), ln_amplitudes), blur_e), report)| ImageResultMut {
-            wavefront_nm,
-            coefficients_nm,
-            ln_amplitudes,
-            blur_e,
-            report,
+        let arrays = arrays
+            .zip(self.ln_amplitudes.axis_iter_mut(Axis(0)))
+            .zip(&mut self.blur_e)
+            .zip(&mut self.coordinates)
+            .zip(&mut self.reports);
+        arrays.map(|(((((wavefront_nm, coefficients_nm), ln_amplitudes), blur_e), coordinates), report)| {
+            ImageResultMut { wavefront_nm, coefficients_nm, ln_amplitudes, blur_e, coordinates, report }
         })
     }
 
@@ -98,6 +103,7 @@ impl RetrievedWavefronts {
             coefficients_nm: self.coefficients_nm.row_mut(image),
             ln_amplitudes: self.ln_amplitudes.row_mut(image),
             blur_e: &mut self.blur_e[image],
+            coordinates: &mut self.coordinates[image],
             report: &mut self.reports[image],
         }
         .store(result);
@@ -110,6 +116,7 @@ pub(super) struct ImageResultMut<'a> {
     coefficients_nm: ArrayViewMut1<'a, f64>,
     ln_amplitudes: ArrayViewMut1<'a, f64>,
     blur_e: &'a mut Vec<f32>,
+    coordinates: &'a mut Vec<f32>,
     report: &'a mut RetrievalReport,
 }
 
@@ -123,6 +130,7 @@ impl ImageResultMut<'_> {
                 self.coefficients_nm.iter_mut().zip(image.coefficients_nm).for_each(|(out, nm)| *out = nm);
                 self.ln_amplitudes.iter_mut().zip(image.ln_amplitudes).for_each(|(out, ln)| *out = ln);
                 *self.blur_e = image.blur_e;
+                *self.coordinates = image.coordinates;
                 *self.report = image.report;
             }
         }

@@ -1,0 +1,53 @@
+//! Task: the images to retrieve, and what is known of each.
+
+use super::static_wavefront::StaticWavefront;
+use crate::modal::PreparedFrame;
+use crate::optimize::CancelFlag;
+use crate::{Error, Result};
+use std::sync::atomic::Ordering;
+
+/// A prepared image, or the reason why it is unusable.
+pub(super) type PreparedImage = std::result::Result<PreparedFrame, String>;
+
+/// The images to retrieve, and the static wavefront about which they are retrieved.
+pub(super) struct RetrievalTask<'a> {
+    /// Number of images.
+    pub(super) images: usize,
+    /// Prepares one of them.
+    pub(super) prepare: &'a (dyn Fn(usize) -> Result<PreparedImage> + Sync),
+    pub(super) about: Option<&'a StaticWavefront>,
+    /// What the blur of the exposures changes in each image, electrons; empty where it is not known.
+    pub(super) blur_e: &'a [Vec<f32>],
+    /// Coordinates at which the optimisation of each image begins, 0 where they are of another model; where they are given, those at its end are kept.
+    pub(super) starts: Option<&'a [Vec<f32>]>,
+    pub(super) cancel: Option<&'a CancelFlag>,
+}
+
+/// What is known of an image before its retrieval: see [`RetrievalTask`].
+#[derive(Clone, Copy)]
+pub(super) struct KnownOfImage<'a> {
+    pub(super) about: Option<&'a StaticWavefront>,
+    pub(super) blur_e: &'a [f32],
+    pub(super) start: Option<&'a [f32]>,
+}
+
+impl RetrievalTask<'_> {
+    /// What is known of `image`.
+    pub(super) fn known(&self, image: usize) -> KnownOfImage<'_> {
+        fn of(each: &[Vec<f32>], image: usize) -> &[f32] {
+            each.get(image).map_or(&[], Vec::as_slice)
+        }
+        let start = self.starts.map(|starts| of(starts, image));
+        KnownOfImage { about: self.about, blur_e: of(self.blur_e, image), start }
+    }
+
+    /// # Errors
+    /// [`Error::Interrupted`] where the task is cancelled, with the number of images that are done.
+    pub(super) fn check_cancel(&self, done: impl FnOnce() -> usize) -> Result<()> {
+        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            let (done, all) = (done(), self.images);
+            return Err(Error::Interrupted(format!("{done} of {all} wavefronts were retrieved")));
+        }
+        Ok(())
+    }
+}
