@@ -6,10 +6,8 @@
 
 use super::Simulator;
 use super::aligned::AlignedBuffer;
-use super::control::Controller;
+use super::correction::CorrectionLoop;
 use super::footprint::Footprint;
-use super::sensor::Sensor;
-use super::surface::Surface;
 use crate::linear_algebra::SpdInverse;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
@@ -24,56 +22,33 @@ const DEPTH: usize = 12;
 /// Regularisation of an extrapolation, relative to the largest square of a difference: single precision leaves of the smallest.
 const ROUNDING: f64 = 1e-10;
 
-/// Mirror, sensor and controller of a loop, without turbulence, noise, drift and dither. Clones are independent of each other.
+/// Mirror, sensor and controller of a loop without turbulence. Clones are independent of each other.
 #[derive(Clone)]
 pub struct LoopAtRest {
-    footprint: Footprint,
-    segments_nm: AlignedBuffer,
-    surface: Surface,
-    sensor: Sensor,
-    reference_mas: Vec<f32>,
-    controller: Controller,
+    correction: CorrectionLoop,
     residual_nm: AlignedBuffer,
-    slopes_mas: Vec<f32>,
-    number: u64,
 }
 
 impl From<Simulator> for LoopAtRest {
     fn from(simulator: Simulator) -> Self {
-        let Simulator { correction, residual_nm, .. } = simulator;
-        Self {
-            footprint: correction.footprint,
-            segments_nm: correction.segments_nm,
-            surface: correction.surface,
-            sensor: correction.sensor,
-            reference_mas: correction.reference_mas,
-            controller: correction.controller,
-            slopes_mas: correction.slopes_mas,
-            residual_nm,
-            number: 0,
-        }
+        Self { correction: simulator.correction, residual_nm: simulator.residual_nm }
     }
 }
 
 impl LoopAtRest {
     /// The illuminated part of the simulator's grid.
     pub fn footprint(&self) -> &Footprint {
-        &self.footprint
+        &self.correction.footprint
     }
 
     /// Number of actuators.
     pub fn actuators(&self) -> usize {
-        self.surface.actuators()
-    }
-
-    /// Frames so far.
-    pub fn frames(&self) -> u64 {
-        self.number
+        self.correction.surface.actuators()
     }
 
     /// Holds the mirror at these commands, nm, as if they had been on it in every frame before.
     pub fn hold(&mut self, commands_nm: ArrayView1<f64>) {
-        self.controller.hold(commands_nm);
+        self.correction.controller.hold(commands_nm);
     }
 
     /// Commands of the mirror at rest behind the wavefront `opd_nm`, a map over the footprint, from those that it holds. No command changes by
@@ -82,7 +57,7 @@ impl LoopAtRest {
     /// # Errors
     /// [`Error::Shape`] for a map of another size; [`Error::Internal`] for commands that are not finite.
     pub fn commands_nm(&mut self, opd_nm: &[f32], still_nm: f64) -> Result<Array1<f64>> {
-        let mut commands_nm = as_f64(self.controller.commands_nm());
+        let mut commands_nm = as_f64(self.correction.controller.commands_nm());
         let mut extrapolation = Extrapolation::default();
         // The commands that changed least, for a mirror that still moves at the end.
         let mut best = (f64::INFINITY, commands_nm.clone());
@@ -110,14 +85,10 @@ impl LoopAtRest {
             let (given, needed) = (opd_nm.len(), self.residual_nm.len());
             return Err(Error::Shape(format!("a map of {given} samples was given; {needed} are needed")));
         }
-        self.controller.hold(commands_nm.view());
+        self.correction.controller.hold(commands_nm.view());
         self.residual_nm.copy_from_slice(opd_nm);
-        self.surface.correct(self.controller.commands_nm(), &self.segments_nm, &mut self.residual_nm)?;
-        self.sensor.measure(&self.residual_nm, None, &mut self.slopes_mas)?;
-        self.slopes_mas.iter_mut().zip(&self.reference_mas).for_each(|(slope, reference)| *slope -= reference);
-        self.controller.step(&self.slopes_mas)?;
-        self.number += 1;
-        Ok(as_f64(self.controller.newest_nm()))
+        self.correction.step(&mut self.residual_nm)?;
+        Ok(as_f64(self.correction.controller.newest_nm()))
     }
 }
 
@@ -192,7 +163,7 @@ mod tests {
             }
             let mut at_rest = LoopAtRest::from(simulator);
             let found_nm = at_rest.commands_nm(&opd_nm, 1e-3).unwrap();
-            let frames = at_rest.frames();
+            let frames = at_rest.correction.number;
             let mut long = Simulator::new(&scene).unwrap();
             let mut expected_nm = Vec::new();
             for _ in 0..2000 {

@@ -29,6 +29,7 @@ pub struct Frame<'a> {
 }
 
 /// Segments, mirror, sensor and controller: the part of the loop between the turbulence and the camera.
+#[derive(Clone)]
 pub(super) struct CorrectionLoop {
     pub(super) footprint: Footprint,
     pub(super) segments_nm: AlignedBuffer,

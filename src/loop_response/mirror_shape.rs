@@ -4,13 +4,9 @@
 //! grid: n·a·(n + a) operations and n·a numbers for n samples and a actuators a side, where the influence of each actuator at each sample
 //! would be n²·a² of both. Of measured functions the values that are not 0 are kept.
 
-use crate::modes::InfluenceFunctions;
+use crate::modes::{InfluenceFunctions, reach};
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array1, Array2, ArrayView1};
-use std::ops::Range;
-
-/// Value of a function along an axis below which it is out of reach.
-const NEGLIGIBLE: f64 = 1e-8;
 
 /// Mirror of a grid of samples.
 pub(super) struct MirrorShape {
@@ -79,15 +75,20 @@ impl MirrorShape {
         }
     }
 
+    /// Map of values at the samples, `[y, x]`, 0 elsewhere.
+    fn map(&self, values: ArrayView1<f64>) -> Array2<f64> {
+        let mut map = Array2::zeros((self.samples, self.samples));
+        for (&index, &value) in self.indices.iter().zip(values) {
+            map[[index / self.samples, index % self.samples]] = value;
+        }
+        map
+    }
+
     /// Sum over the samples, with these weights, of the products of the influence of each two actuators, `[actuator, actuator]`.
     pub(super) fn gram(&self, weights: &[f64]) -> Array2<f64> {
         match &self.functions {
             Functions::Separable { along, actuators } => {
-                let mut map = Array2::zeros((self.samples, self.samples));
-                for (&index, &weight) in self.indices.iter().zip(weights) {
-                    map[[index / self.samples, index % self.samples]] = weight;
-                }
-                separable_gram(along, actuators, &map)
+                separable_gram(along, actuators, &self.map(ArrayView1::from(weights)))
             }
             Functions::Measured(moved) => {
                 let mut movers: Vec<Vec<(usize, f64)>> = vec![Vec::new(); self.indices.len()];
@@ -110,11 +111,7 @@ impl MirrorShape {
         match &self.functions {
             Functions::Separable { along, actuators } => {
                 let across = along.nrows();
-                let mut map = Array2::zeros((self.samples, self.samples));
-                for (&index, &nm) in self.indices.iter().zip(wavefront_nm) {
-                    map[[index / self.samples, index % self.samples]] = nm;
-                }
-                let products = along.dot(&map).dot(&along.t());
+                let products = along.dot(&self.map(wavefront_nm)).dot(&along.t());
                 actuators.iter().map(|&actuator| products[[actuator / across, actuator % across]]).collect()
             }
             Functions::Measured(moved) => {
@@ -131,14 +128,7 @@ fn separable_gram(along: &Array2<f64>, actuators: &[usize], weights: &Array2<f64
     let (across, n) = along.dim();
     let mut in_row: Vec<Vec<(usize, usize)>> = vec![Vec::new(); across];
     actuators.iter().enumerate().for_each(|(number, at)| in_row[at / across].push((at % across, number)));
-    let reach: Vec<Range<usize>> = along
-        .outer_iter()
-        .map(|line| {
-            let seen = |value: &f64| *value > NEGLIGIBLE;
-            let first = line.iter().position(seen).unwrap_or(0);
-            first..line.iter().rposition(seen).map_or(first, |last| last + 1)
-        })
-        .collect();
+    let reach = reach(along);
     let common = |i: usize, k: usize| reach[i].start.max(reach[k].start)..reach[i].end.min(reach[k].end);
     let mut gram = Array2::zeros((actuators.len(), actuators.len()));
     for (row, other) in (0..across).flat_map(|row| (row..across).map(move |other| (row, other))) {

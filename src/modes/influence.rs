@@ -4,7 +4,8 @@ use super::measured_influence::{InfluenceWindow, MeasuredInfluence};
 use super::samples::{Samples, check_lengths};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayViewMut2};
+use ndarray::{Array2, ArrayView1, ArrayViewMut2};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// A square grid of actuators centred on the optical axis (Fried geometry: `actuators_across − 1` lenslets across, an
@@ -249,19 +250,12 @@ impl InfluenceFunctions {
         if !self.is_separable() {
             return (0..self.len()).filter_map(|actuator| self.window(actuator, coordinates_m)).collect();
         }
-        const NEGLIGIBLE: f64 = 1e-8;
         let (along, actuators) = self.along(coordinates_m);
-        // Of a function with one maximum.
-        let range = |line: usize| {
-            let values = along.row(line);
-            let first = values.iter().position(|value| *value > NEGLIGIBLE).unwrap_or(0);
-            let last = values.iter().rposition(|value| *value > NEGLIGIBLE).map_or(first, |last| last + 1);
-            first..last
-        };
+        let reach = reach(&along);
         let across = along.nrows();
         let window = |&actuator: &usize| {
             let (row, column) = (actuator / across, actuator % across);
-            let (rows, columns) = (range(row), range(column));
+            let (rows, columns) = (reach[row].clone(), reach[column].clone());
             let values = Array2::from_shape_fn((rows.len(), columns.len()), |(y, x)| {
                 along[[row, rows.start + y]] * along[[column, columns.start + x]]
             });
@@ -339,6 +333,17 @@ impl InfluenceFunctions {
                 .for_each(|value, x, y| *value = x * y);
         }
     }
+}
+
+/// Samples that each line of actuators reaches, of functions with one maximum along an axis, `[line, sample]`.
+pub(crate) fn reach(along: &Array2<f64>) -> Vec<Range<usize>> {
+    const NEGLIGIBLE: f64 = 1e-8;
+    let seen = |value: &f64| *value > NEGLIGIBLE;
+    let of_line = |line: ArrayView1<f64>| {
+        let first = line.iter().position(seen).unwrap_or(0);
+        first..line.iter().rposition(seen).map_or(first, |last| last + 1)
+    };
+    along.outer_iter().map(of_line).collect()
 }
 
 #[cfg(test)]

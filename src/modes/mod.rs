@@ -29,8 +29,8 @@ mod von_karman;
 mod zernike;
 
 pub use basis::{Basis, Group};
-pub(crate) use influence::marked_cells;
 pub use influence::{InfluenceFunctions, Mirror};
+pub(crate) use influence::{marked_cells, reach};
 pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve, karhunen_loeve_at_most, karhunen_loeve_complete};
 pub(crate) use linalg::symmetric_eigen;
 pub use measured_influence::MeasuredInfluence;

@@ -8,6 +8,7 @@ use rand_distr::{Binomial, Distribution, Poisson, StandardNormal};
 const MANY: f64 = 100.0;
 
 /// Signal and noise of the guide star.
+#[derive(Clone)]
 pub struct GuideStar {
     /// Electrons that a fully illuminated subaperture detects in a frame.
     pub electrons: f64,
