@@ -66,6 +66,8 @@ pub struct SensorModel {
     interpolation: Vec<[(u32, f64); 4]>,
     /// Modes at the samples of the sensor, `[mode, sample]`.
     modes: Array2<f64>,
+    /// Inverse of the modes' scalar products, once it is needed.
+    inverse_gram: Option<Array2<f64>>,
     /// The samples of the sensor, and their grid.
     samples: Samples,
     grid: Grid,
@@ -116,6 +118,7 @@ impl SensorModel {
             surface: SegmentSurface::new(&owned, &pupil, &telescope.pupil),
             interpolation: interpolation(samples, &fine),
             modes: basis.evaluate(&fine.xs_m, &fine.ys_m)?,
+            inverse_gram: None,
             samples: fine,
             grid: pupil.grid,
             mirror: scene.has_mirror().then(|| actuators(scene, sensor.lenslets(), telescope)).transpose()?,
@@ -274,12 +277,26 @@ impl SensorModel {
         };
         // In units of the expected slopes, in which the response was measured.
         let difference_mas = expected_mas - &slopes_mas / self.gain;
-        let information = response.information(difference_mas.view(), ncpa_nm)?;
+        let turbulence_nm = self.in_modes(&rests_nm)?;
+        let information = response.information(difference_mas.view(), turbulence_nm.view(), ncpa_nm)?;
         self.response = Some(response);
         Ok(match self.moved_shape_nm()? {
             Some(moved_nm) => information.with_uncertainty_along((moved_nm * MOVED_SHAPE_ERROR).view()),
             None => information,
         })
+    }
+
+    /// Wavefronts in the modes, nm, `[wavefront, mode]`: least squares.
+    fn in_modes(&mut self, wavefronts_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
+        let inverse = match self.inverse_gram.take() {
+            Some(known) => known,
+            None => SpdInverse::new(&self.modes.dot(&self.modes.t()))?.inverse,
+        };
+        let mut products = Array2::zeros((wavefronts_nm.len(), self.modes.nrows()));
+        products.outer_iter_mut().zip(wavefronts_nm).for_each(|(mut row, nm)| row.assign(&self.modes.dot(nm)));
+        let coefficients_nm = products.dot(&inverse);
+        self.inverse_gram = Some(inverse);
+        Ok(coefficients_nm)
     }
 
     /// The modes that the mirror took where corrections have moved the reference slopes, nm: least squares.

@@ -163,10 +163,16 @@ impl StaticModel {
                 let (given, needed) = (slopes.right_side.len(), ncpa.len());
                 return Err(Error::Shape(format!("slopes of {given} NCPA modes were given: {needed} are needed")));
             }
-            let mut part = information.slice_mut(s![ncpa.clone(), ncpa.clone()]);
-            part += &slopes.information;
-            let mut part = right_side.slice_mut(s![ncpa]);
-            part += &slopes.right_side;
+            // Slopes measure NCPA + share · common path.
+            let common_path = ncpa.end..ncpa.end + if self.has_telemetry() { self.ncpa } else { 0 };
+            let parts = [(ncpa, 1.0), (common_path, slopes.common_path_share)];
+            for (rows, row_share) in parts.iter().filter(|(rows, _)| !rows.is_empty()) {
+                for (columns, share) in parts.iter().filter(|(columns, _)| !columns.is_empty()) {
+                    let mut part = information.slice_mut(s![rows.clone(), columns.clone()]);
+                    part.scaled_add(row_share * share, &slopes.information);
+                }
+                right_side.slice_mut(s![rows.clone()]).scaled_add(*row_share, &slopes.right_side);
+            }
         }
         Ok((information, right_side))
     }
