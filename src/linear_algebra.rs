@@ -1,10 +1,11 @@
 //! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky decomposition; scale of a matrix for the
-//! eigenvalue solver.
+//! eigenvalue solver; products of long rows on all cores.
 
 use crate::{Error, Result};
 use faer::linalg::solvers::{DenseSolveCore, Llt, Solve};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use ndarray::{Array1, Array2, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use rayon::prelude::*;
 
 /// Power of two by which a matrix is multiplied before its eigenvalues are computed, so that its largest entry is between 1 and 2; 1 for
 /// a matrix of zeros. It changes no digit of the entries.
@@ -15,6 +16,30 @@ use ndarray::{Array1, Array2, Axis};
 pub(crate) fn unit_scale(matrix: &Array2<f64>) -> f64 {
     let largest = matrix.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     if largest.is_normal() { 2f64.powi(-(largest.log2().floor().clamp(-1000.0, 1000.0) as i32)) } else { 1.0 }
+}
+
+/// Columns of a matrix that a thread combines at once.
+const COLUMNS_AT_ONCE: usize = 4096;
+
+/// Σ coefficient · row of a matrix with long rows, on all cores: the sum for a column is in the order of the rows, on any number of threads.
+pub(crate) fn combination(coefficients: ArrayView1<f64>, rows: ArrayView2<f64>) -> Array1<f64> {
+    let mut sum = Array1::zeros(rows.ncols());
+    sum.axis_chunks_iter_mut(Axis(0), COLUMNS_AT_ONCE)
+        .into_par_iter()
+        .zip(rows.axis_chunks_iter(Axis(1), COLUMNS_AT_ONCE).into_par_iter())
+        .for_each(|(mut sum, rows)| {
+            coefficients
+                .iter()
+                .zip(rows.outer_iter())
+                .for_each(|(&coefficient, row)| sum.scaled_add(coefficient, &row));
+        });
+    sum
+}
+
+/// Scalar products of the rows of a matrix with a long vector, on all cores.
+pub(crate) fn row_products(rows: ArrayView2<f64>, vector: ArrayView1<f64>) -> Array1<f64> {
+    let products: Vec<f64> = rows.axis_iter(Axis(0)).into_par_iter().map(|row| row.dot(&vector)).collect();
+    Array1::from(products)
 }
 
 /// Inverse of a symmetric positive definite matrix, and the logarithm of its determinant.

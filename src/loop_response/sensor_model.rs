@@ -14,7 +14,7 @@ use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::{SlopeRegression, slope_gain};
 use crate::ao::{AlignedBuffer, Footprint, Lenslets, Sensor, actuators, sensor_pupil};
-use crate::linear_algebra::SpdInverse;
+use crate::linear_algebra::{SpdInverse, combination};
 use crate::machine;
 use crate::modes::{InfluenceFunctions, Samples, SmoothBasis};
 use crate::pupil::Grid;
@@ -255,29 +255,32 @@ impl SensorModel {
             )));
         }
         // Interpolation would smooth the segments' edges, so it is done without them.
-        let sampled_nm = ArrayView1::from(segments_nm).dot(&segments);
-        let known_nm = ArrayView1::from(ncpa_nm).dot(&self.modes);
-        let rest = |image: usize| {
-            let smooth_nm = &wavefronts_nm.row(image) - &sampled_nm;
-            interpolated(&self.interpolation, smooth_nm.view()) - &known_nm
-        };
-        let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
+        let sampled_nm = combination(segments_nm.into(), segments);
+        let known_nm = combination(ncpa_nm.into(), self.modes.view());
+        let mut rests_nm = Array2::zeros((images, self.modes.ncols()));
+        rests_nm.axis_iter_mut(Axis(0)).into_par_iter().zip(wavefronts_nm.axis_iter(Axis(0))).for_each(
+            |(mut rest, nm)| {
+                let smooth_nm = &nm - &sampled_nm;
+                rest.assign(&(interpolated(&self.interpolation, smooth_nm.view()) - &known_nm));
+            },
+        );
+        let rests_nm = rests_nm.view();
         let mut expected_mas = Array2::zeros((images, slopes));
-        self.fill_rows(expected_mas.view_mut(), |image, own| self.measure(own, segments_nm, rests_nm[image].view()))?;
+        self.fill_rows(expected_mas.view_mut(), |image, own| self.measure(own, segments_nm, rests_nm.row(image)))?;
         // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
         // iterations end where the differences vanish, for any response.
         let response = match self.response.take() {
             Some(known) => known,
             None => {
                 self.gain = slope_gain(expected_mas.view(), slopes_mas);
-                let response_mas = self.measure_response(segments_nm, &rests_nm)?;
-                self.reference_mas_per_nm = Some(self.measure_references(&response_mas, &rests_nm)?);
+                let response_mas = self.measure_response(segments_nm, rests_nm)?;
+                self.reference_mas_per_nm = Some(self.measure_references(&response_mas, rests_nm)?);
                 SensorResponse::new(response_mas)
             }
         };
         // In units of the expected slopes, in which the response was measured.
         let difference_mas = expected_mas - &slopes_mas / self.gain;
-        let turbulence_nm = self.in_modes(&rests_nm)?;
+        let turbulence_nm = self.in_modes(rests_nm)?;
         let information = response.information(difference_mas.view(), turbulence_nm.view(), ncpa_nm)?;
         self.response = Some(response);
         Ok(match self.moved_shape_nm()? {
@@ -286,15 +289,13 @@ impl SensorModel {
         })
     }
 
-    /// Wavefronts in the modes, nm, `[wavefront, mode]`: least squares.
-    fn in_modes(&mut self, wavefronts_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
+    /// Wavefronts, nm, `[wavefront, sample]`, in the modes, `[wavefront, mode]`: least squares.
+    fn in_modes(&mut self, wavefronts_nm: ArrayView2<f64>) -> Result<Array2<f64>> {
         let inverse = match self.inverse_gram.take() {
             Some(known) => known,
             None => SpdInverse::new(&self.modes.dot(&self.modes.t()))?.inverse,
         };
-        let mut products = Array2::zeros((wavefronts_nm.len(), self.modes.nrows()));
-        products.outer_iter_mut().zip(wavefronts_nm).for_each(|(mut row, nm)| row.assign(&self.modes.dot(nm)));
-        let coefficients_nm = products.dot(&inverse);
+        let coefficients_nm = wavefronts_nm.dot(&self.modes.t()).dot(&inverse);
         self.inverse_gram = Some(inverse);
         Ok(coefficients_nm)
     }
@@ -317,15 +318,15 @@ impl SensorModel {
     ///
     /// The loop is to make the shape that is nearest to a mode over the pupil, so the response is that of this shape. About the slopes of the mode itself it
     /// would make the shape whose slopes are nearest: what the mirror leaves has slopes, too, which it would answer with other shapes.
-    fn measure_references(&self, response_mas: &Array2<f64>, rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
+    fn measure_references(&self, response_mas: &Array2<f64>, rests_nm: ArrayView2<f64>) -> Result<Array2<f64>> {
         if !self.sensor.is_local() {
             return Ok(response_mas * self.gain);
         }
         let (segments_nm, flat_nm) = (self.flat_segments_nm(), Array1::zeros(self.modes.ncols()));
-        let flat_mas = self.tilt_response_mas(&mut self.own_sensor(), &segments_nm, &flat_nm)?;
-        let mut responses_mas = Array2::zeros((rests_nm.len(), self.slopes()));
+        let flat_mas = self.tilt_response_mas(&mut self.own_sensor(), &segments_nm, flat_nm.view())?;
+        let mut responses_mas = Array2::zeros((rests_nm.nrows(), self.slopes()));
         self.fill_rows(responses_mas.view_mut(), |image, own| {
-            self.tilt_response_mas(own, &segments_nm, &rests_nm[image])
+            self.tilt_response_mas(own, &segments_nm, rests_nm.row(image))
         })?;
         let mirror = self.mirror.as_ref();
         let actuators = mirror.map_or(0, InfluenceFunctions::len);
@@ -335,7 +336,7 @@ impl SensorModel {
         let taken_nm = mirror.map_or_else(|| self.modes.clone(), |mirror| mirror.shapes_nm(self.modes.view()));
         let mut references = Array2::zeros(response_mas.dim());
         self.fill_rows(references.view_mut(), |mode, own| {
-            Ok(self.response_to(own, taken_nm.row(mode), &segments_nm, &flat_nm)? * &gains)
+            Ok(self.response_to(own, taken_nm.row(mode), &segments_nm, flat_nm.view())? * &gains)
         })?;
         Ok(references)
     }
@@ -345,7 +346,7 @@ impl SensorModel {
         &self,
         own: &mut OwnSensor,
         segments_nm: &[f64],
-        rest_nm: &Array1<f64>,
+        rest_nm: ArrayView1<f64>,
     ) -> Result<Array1<f64>> {
         let half = self.slopes() / 2;
         let mut response_mas = Array1::zeros(2 * half);
@@ -364,22 +365,22 @@ impl SensorModel {
         own: &mut OwnSensor,
         shape_nm: ArrayView1<f64>,
         segments_nm: &[f64],
-        rest_nm: &Array1<f64>,
+        rest_nm: ArrayView1<f64>,
     ) -> Result<Array1<f64>> {
         let poke_nm = &shape_nm * POKE_NM;
-        let push_mas = self.measure(own, segments_nm, (rest_nm + &poke_nm).view())?;
-        let pull_mas = self.measure(own, segments_nm, (rest_nm - &poke_nm).view())?;
+        let push_mas = self.measure(own, segments_nm, (&rest_nm + &poke_nm).view())?;
+        let pull_mas = self.measure(own, segments_nm, (&rest_nm - &poke_nm).view())?;
         Ok((push_mas - pull_mas) * (0.5 / POKE_NM))
     }
 
     /// Measures the slopes for 1 nm of each mode about some of the wavefronts, `[mode, slope]`, mas.
-    fn measure_response(&self, segments_nm: &[f64], rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
-        let count = RESPONSE_IMAGES.min(rests_nm.len());
+    fn measure_response(&self, segments_nm: &[f64], rests_nm: ArrayView2<f64>) -> Result<Array2<f64>> {
+        let count = RESPONSE_IMAGES.min(rests_nm.nrows());
         let mut responses = Array2::zeros((self.modes.nrows(), self.slopes()));
         self.fill_rows(responses.view_mut(), |mode, own| {
             let mut response = Array1::zeros(self.slopes());
             for share in 0..count {
-                let rest_nm = &rests_nm[share * rests_nm.len() / count];
+                let rest_nm = rests_nm.row(share * rests_nm.nrows() / count);
                 let about_mas = self.response_to(own, self.modes.row(mode), segments_nm, rest_nm)?;
                 response.scaled_add(1.0 / count as f64, &about_mas);
             }

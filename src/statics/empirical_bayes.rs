@@ -69,10 +69,19 @@ impl Posterior {
         let data_nm = precision.dot(&self.coefficients_nm.slice(s![..count]));
         let change_nm = covariance_nm2.dot(&data_nm) - self.coefficients_nm.slice(s![..count]);
         // The others, conditional on these, are unchanged: they change by regression on them.
-        let regression = self.covariance_nm2.slice(s![.., ..count]).dot(&precision);
-        let wider_nm2 = &covariance_nm2 - &self.covariance_nm2.slice(own);
-        self.covariance_nm2 += &regression.dot(&wider_nm2).dot(&regression.t());
-        self.coefficients_nm += &regression.dot(&change_nm);
+        let regression = self.covariance_nm2.slice(s![count.., ..count]).dot(&precision);
+        let shared_nm2 = regression.dot(&(&covariance_nm2 - &self.covariance_nm2.slice(own)));
+        self.covariance_nm2.slice_mut(own).assign(&covariance_nm2);
+        let mut part = self.covariance_nm2.slice_mut(s![count.., ..count]);
+        part += &shared_nm2;
+        let mut part = self.covariance_nm2.slice_mut(s![..count, count..]);
+        part += &shared_nm2.t();
+        let mut part = self.covariance_nm2.slice_mut(s![count.., count..]);
+        part += &shared_nm2.dot(&regression.t());
+        let mut part = self.coefficients_nm.slice_mut(s![count..]);
+        part += &regression.dot(&change_nm);
+        let mut part = self.coefficients_nm.slice_mut(s![..count]);
+        part += &change_nm;
         Ok(self)
     }
 }

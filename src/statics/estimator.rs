@@ -13,6 +13,7 @@ use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
 use super::wavefront_source::WavefrontSource;
+use crate::linear_algebra::combination;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
 use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
 use crate::optimize::CancelFlag;
@@ -295,11 +296,12 @@ impl<'a> StaticsEstimator<'a> {
     ) -> Result<StaticWavefront> {
         let (segments_nm, ncpa) = coefficients_nm.view().split_at(Axis(0), errors.segment_modes());
         let (pistons_nm, tilts_nm) = segments_nm.split_at(Axis(0), errors.pistons_nm.len());
-        let mut smooth_nm = (&ncpa + &ArrayView1::from(&errors.common_path_nm)).dot(&modes.at_all);
+        let common_path_nm = ArrayView1::from(&errors.common_path_nm);
+        let mut smooth_nm = combination((&ncpa + &common_path_nm).view(), modes.at_all.view());
         if let Some(frames) = self.frames.as_ref().filter(|_| !tilts_nm.is_empty()) {
             // The retrieval's model has pistons, so that it may fit reflectivities and costs no more: tilts are a wavefront at its
             // samples, the one that the linear model has.
-            smooth_nm += &tilts_nm.dot(&self.all_samples.tilts(frames));
+            smooth_nm += &combination(tilts_nm, self.all_samples.tilts(frames).view());
         }
         if let Some(response) = &mut self.loop_response {
             smooth_nm += &response.closed_loop.response_nm(&segments_nm.to_vec())?;

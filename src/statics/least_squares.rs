@@ -5,6 +5,7 @@ use super::common_figure::COMMON_FIGURE_RMS_NM;
 use super::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
 use super::mean_covariance::{MeanCovariance, Weighted};
 use super::static_errors::StaticErrors;
+use crate::linear_algebra::{combination, row_products};
 use crate::loop_response::SlopeInformation;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
@@ -132,10 +133,9 @@ impl StaticModel {
         let common_path = if self.has_telemetry() { ncpa..ncpa + self.ncpa } else { ncpa..ncpa };
         let mut common_path_nm = coefficients_nm.slice(s![common_path]).to_vec();
         common_path_nm.resize(self.ncpa, 0.0);
-        let mut residual_nm = mean_nm.to_owned();
-        for (&column, &nm) in self.column_of.iter().zip(&coefficients_nm) {
-            residual_nm.scaled_add(-nm, &self.columns.row(column));
-        }
+        let mut of_columns_nm = Array1::zeros(self.columns.nrows());
+        self.column_of.iter().zip(&coefficients_nm).for_each(|(&column, &nm)| of_columns_nm[column] += nm);
+        let residual_nm = &mean_nm - &combination(of_columns_nm.view(), self.columns.view());
         Ok(StaticErrors {
             residual_nm,
             pistons_nm: coefficients_nm.slice(s![..self.segments]).to_vec(),
@@ -155,7 +155,7 @@ impl StaticModel {
         slopes: Option<&SlopeInformation>,
     ) -> Result<(Array2<f64>, Array1<f64>)> {
         let mut information = self.information.clone();
-        let products = self.weighted.solution.dot(&mean_nm) + self.correction(mean_nm)?;
+        let products = row_products(self.weighted.solution.view(), mean_nm) + self.correction(mean_nm)?;
         let mut right_side = products.select(Axis(0), &self.column_of);
         if let Some(slopes) = slopes {
             let ncpa = self.segment_modes..self.segment_modes + self.ncpa;

@@ -7,6 +7,7 @@
 
 use super::convolution::{ConvolutionBuffers, Convolver};
 use super::covariance::ResidualCovariance;
+use crate::linear_algebra::row_products;
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::IlluminatedSamples;
 use crate::{Error, Result};
@@ -75,7 +76,7 @@ impl Weighted {
 
     /// What [`products`](Self::products) adds to X·b′ for one column, of which `weighted` is X′.
     pub fn correction(&self, weighted: ArrayView1<f64>) -> Array1<f64> {
-        self.residual.dot(&weighted)
+        row_products(self.residual.view(), weighted)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::mean_covariance::MeanCovariance;
 use crate::Result;
+use crate::linear_algebra::{combination, row_products};
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array1, ArrayView1, ArrayView2, Axis};
 
@@ -41,7 +42,7 @@ impl SegmentTilts {
     ) -> Result<Self> {
         let weighted = |wavefront_nm: ArrayView1<f64>| -> Result<Array1<f64>> {
             let solved = covariance.solve(wavefront_nm.insert_axis(Axis(0)))?;
-            Ok(columns.dot(&solved.solution.row(0)))
+            Ok(row_products(columns, solved.solution.row(0)))
         };
         let b = weighted(residual_nm)?;
         // Conjugate gradients, preconditioned by the squares of the columns, which differ where segments are cut off. An inverse of the normal
@@ -59,7 +60,7 @@ impl SegmentTilts {
             if gain <= wanted {
                 break;
             }
-            let product = weighted(direction.dot(&columns).view())?;
+            let product = weighted(combination(direction.view(), columns).view())?;
             let step = gain / direction.dot(&product);
             tilts_nm.scaled_add(step, &direction);
             left.scaled_add(-step, &product);
@@ -68,7 +69,7 @@ impl SegmentTilts {
             direction = scaled + direction * (next / gain);
             gain = next;
         }
-        let wavefront_nm = tilts_nm.dot(&columns);
+        let wavefront_nm = combination(tilts_nm.view(), columns);
         let weight: f64 = samples.amplitude.iter().sum();
         let square =
             wavefront_nm.iter().zip(&samples.amplitude).map(|(nm, amplitude)| amplitude * nm * nm).sum::<f64>()
