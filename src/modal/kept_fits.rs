@@ -15,6 +15,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use twox_hash::xxhash3_128::Hasher;
 
+/// Numbers that are hashed at once.
+const NUMBERS_AT_ONCE: usize = 512;
+
 /// XXH3 in 128 bits, of numbers, texts and images one after the other. It distinguishes fits; it is no protection against someone who
 /// constructs two with one hash.
 #[derive(Clone)]
@@ -36,8 +39,19 @@ impl Hash {
         hash
     }
 
-    pub(crate) fn numbers<'a>(self, numbers: impl IntoIterator<Item = &'a f64>) -> Self {
-        numbers.into_iter().fold(self, |hash, number| hash.word(number.to_bits()))
+    /// Each as the word of its bits. They are hashed many at a time: a call for every eight bytes takes longer than the hash itself.
+    pub(crate) fn numbers<'a>(mut self, numbers: impl IntoIterator<Item = &'a f64>) -> Self {
+        let (mut bytes, mut filled) = ([0; 8 * NUMBERS_AT_ONCE], 0);
+        for number in numbers {
+            bytes[filled..filled + 8].copy_from_slice(&number.to_bits().to_le_bytes());
+            filled += 8;
+            if filled == bytes.len() {
+                self.0.write(&bytes);
+                filled = 0;
+            }
+        }
+        self.0.write(&bytes[..filled]);
+        self
     }
 
     /// An image and its bad pixels.
@@ -185,6 +199,10 @@ mod tests {
             Hash::new().text("a").text("bc").value(),
             Hash::new().text("abc").value(),
         ];
+        // Numbers are one stream, however many are hashed at once.
+        let many: Vec<f64> = (0..NUMBERS_AT_ONCE + 3).map(|i| i as f64).collect();
+        let words = many.iter().fold(Hash::new(), |hash, number| hash.word(number.to_bits()));
+        assert_eq!(Hash::new().numbers(&many).value(), words.value());
         assert!((0..all.len()).all(|i| all[..i].iter().all(|other| *other != all[i])), "{all:x?}");
     }
 }
