@@ -33,11 +33,11 @@ fn a_loop_about_the_reference_slopes_makes_nearly_the_nearest_shape() {
     let truth = Truth::draw(&scene, &telescope, &mut stream(3, 0)).unwrap();
     let columns = truth.ncpa_nm.ncols();
     let unused_mas = Array2::zeros((NCPA_NM.len(), sensor.slopes()));
-    let flat_nm = [Array1::zeros(sensor.modes.ncols())];
-    let references_mas = sensor.measure_references(&unused_mas, &flat_nm).unwrap();
+    let flat_nm = Array2::zeros((1, sensor.modes.ncols()));
+    let references_mas = sensor.measure_references(&unused_mas, flat_nm.view()).unwrap();
     // RMS of the shape that the loop makes less the nearest one. The sensor does not see piston.
     let mut off_nm = || {
-        let moved_mas = -ncpa_nm.dot(&sensor.measure_references(&unused_mas, &flat_nm).unwrap());
+        let moved_mas = -ncpa_nm.dot(&sensor.measure_references(&unused_mas, flat_nm.view()).unwrap());
         let system =
             Simulator::with_moved_reference(&scene, telescope.clone(), truth.clone(), &moved_mas.to_vec()).unwrap();
         let lost_nm = |at: [usize; 2]| truth.ncpa_nm[at] - system.truth().ncpa_nm[at];
