@@ -8,7 +8,7 @@
 //!
 //! Differences follow the turbulence, too. A loop takes the sum of a wavefront's low orders and of its aliases out of the slopes, so that the low orders are
 //! the aliases with the opposite sign; a retrieval shrinks the high frequencies that alias, and the slopes of the retrieved wavefront keep a share of the low
-//! orders: 3 % on Keck, 8 % on TMT, where that is a fourth of the variance of the differences and most of what one image has in common with the next. The share is found by
+//! orders: 3 % on Keck, 8 % on TMT, where that is a fourth of the variance of the differences and half of what one image has in common with the next. The share is found by
 //! regression, image by image. In the mean over the images it is a share of the turbulence's own mean, the *common path* of the mean wavefront.
 
 use super::serial_correlation::mean_variance_factors;
