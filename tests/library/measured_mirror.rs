@@ -143,8 +143,9 @@ fn an_estimate_behind_the_measured_mirror_is_within_its_error_bars() {
     });
     let sigma_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
     println!("{left_nm:?} nm left, error bars {sigma_nm:?} nm");
-    // A sum of squares of some ten independent errors exceeds 2.25 times its expectation in one draw of a hundred.
-    assert!(left_nm.iter().zip(&sigma_nm).all(|(left, sigma)| *left < 1.5 * sigma), "{left_nm:?} {sigma_nm:?}");
+    // A sum of squares of some ten independent errors exceeds 2.25 times its expectation in one draw of a hundred, and an error bar from the
+    // scatter of eight images has an error of 1/√14 = 27 % itself: 1.5 · 1.27.
+    assert!(left_nm.iter().zip(&sigma_nm).all(|(left, sigma)| *left < 1.9 * sigma), "{left_nm:?} {sigma_nm:?}");
 }
 
 /// The mirror behind a raised segment, once the loop is at rest: the response of the loop with the file is that of the functions
