@@ -14,7 +14,7 @@ const NEIGHBOURS: usize = 8;
 const LAGS: usize = 4;
 /// Fewest values whose correlation is sought: twice the lags.
 const FEWEST_VALUES: usize = 8;
-/// Coefficients ρ that are tried: a larger one is not told from an offset in 25 values.
+/// Coefficients ρ that are tried: with a larger one 25 values cannot distinguish a correlation from an offset.
 const COEFFICIENTS: std::ops::RangeInclusive<usize> = 2..=18;
 /// Step between them.
 const STEP: f64 = 0.05;

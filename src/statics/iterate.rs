@@ -11,15 +11,20 @@ use super::segment_tilts::SegmentTilts;
 use super::settings::{StaticsSettings, TiltSelection};
 use super::static_modes::StaticModes;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
+use crate::linear_algebra::combination;
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::StaticWavefront;
 use crate::scene::{AoKnowledge, Scene};
 use crate::{Error, Result};
-use ndarray::{Array1, Axis};
+use ndarray::{Array1, ArrayView1, Axis};
 
 /// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend beyond the basis, nm: noise and
 /// turbulence leave 0.1 to 0.3.
 const EXTENDS_BEYOND_NM: f64 = 0.5;
+
+/// Largest part of the estimated NCPA that a finer basis may leave out, as a fraction of the RMS that is extrapolated beyond the coarser
+/// one: a half, because the extrapolation can be twice too large. Modes of a mirror with few actuators do not hold the lowest polynomials.
+const LARGEST_LEFT_OUT: f64 = 0.5;
 
 /// Estimates static errors iteratively; returns all iterations, of which the last is the estimate.
 ///
@@ -76,6 +81,8 @@ struct IterativeEstimate<'a> {
     segment_tilts: Option<SegmentTilts>,
     /// Covariance of the last wavefronts.
     residual: Option<ResidualCovariance>,
+    /// RMS of NCPA that coarser bases held and the current one does not, nm.
+    left_out_nm: f64,
     /// RMS of NCPA beyond the modes, nm.
     beyond_modes_nm: f64,
 }
@@ -106,6 +113,7 @@ impl<'a> IterativeEstimate<'a> {
             iterations: Vec::new(),
             segment_tilts: None,
             residual: None,
+            left_out_nm: 0.0,
             beyond_modes_nm: 0.0,
         })
     }
@@ -205,7 +213,8 @@ impl<'a> IterativeEstimate<'a> {
         self.estimator.tilts_in_residual(last.errors.residual_nm.view(), residual, last.used_images.len())
     }
 
-    /// Takes the next basis of the ladder where the NCPA extend beyond the current one; returns whether it did.
+    /// Takes the next basis of the ladder where the NCPA extend beyond the current one and the next one holds more of them; returns
+    /// whether it did.
     fn take_finer_basis(&mut self) -> Result<bool> {
         let Some(last) = self.iterations.last() else { return Ok(false) };
         let orders = self.modes.orders;
@@ -214,11 +223,14 @@ impl<'a> IterativeEstimate<'a> {
         // NCPA that extend beyond the coarsest basis fall slowly: they extend beyond the next, even where its highest modes show
         // little.
         let is_refined = last.family != self.settings.families[0];
-        self.beyond_modes_nm =
-            if extends_beyond || is_refined { last.errors.extrapolated_ncpa_nm(orders) } else { 0.0 };
+        let extrapolated_nm = if extends_beyond || is_refined { last.errors.extrapolated_ncpa_nm(orders) } else { 0.0 };
+        self.beyond_modes_nm = extrapolated_nm.hypot(self.left_out_nm);
         if extends_beyond && let Some(&family) = self.finer.next() {
             let modes = self.estimator.static_modes(family)?;
-            if modes.orders > orders {
+            let found_nm = combination(ArrayView1::from(&last.errors.ncpa_nm), self.modes.at_kept.view());
+            let left_out_nm = modes.remainder_nm(found_nm.view())?;
+            if modes.orders > orders && left_out_nm < LARGEST_LEFT_OUT * extrapolated_nm {
+                self.left_out_nm = self.left_out_nm.hypot(left_out_nm);
                 self.modes = modes;
                 return Ok(true);
             }

@@ -6,6 +6,7 @@ use super::iteration::Iteration;
 use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::static_errors::StaticErrors;
 use crate::Result;
+use crate::linear_algebra::{SpdInverse, combination, row_products};
 use crate::metrics::MapGram;
 use crate::modal::{DiversityProjection, GlobalMotions, ModeProjector};
 use crate::modes::{Basis, SegmentModes, SmoothBasis};
@@ -13,7 +14,7 @@ use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
-use ndarray::{Array1, Array2, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use std::ops::Range;
 
 /// Static modes, of the segments and NCPA of one basis, on the samples and as maps.
@@ -91,6 +92,20 @@ impl StaticModes {
             diversity_nm2,
             projection,
         })
+    }
+
+    /// RMS, nm, of what the NCPA's modes leave of a wavefront at the kept samples, nm, beside its mean.
+    ///
+    /// # Errors
+    /// Where the modes' normal equations cannot be solved.
+    pub(super) fn remainder_nm(&self, wavefront_nm: ArrayView1<f64>) -> Result<f64> {
+        let samples = wavefront_nm.len() as f64;
+        let modes = &self.at_kept - &(self.at_kept.sum_axis(Axis(1)) / samples).insert_axis(Axis(1));
+        let wavefront_nm = &wavefront_nm - wavefront_nm.sum() / samples;
+        let normal = SpdInverse::of_normal_equations(modes.dot(&modes.t()))?;
+        let coefficients_nm = normal.inverse.dot(&row_products(modes.view(), wavefront_nm.view()));
+        let left_nm = wavefront_nm - combination(coefficients_nm.view(), modes.view());
+        Ok((left_nm.dot(&left_nm) / samples).sqrt())
     }
 
     /// Wavefronts `columns` of the segment modes, `[mode, sample]`, without the motions of the whole mirror that are 0 by convention. The

@@ -21,10 +21,15 @@ fn read(scene: &Scene, images: &Images) -> Result<Estimate, Error> {
 
 /// Exposures behind the loop, with the slopes that were measured meanwhile.
 pub fn exposures(stepper: &mut Stepper, count: usize) -> Images {
+    exposures_apart(stepper, 60, count)
+}
+
+/// The same, so many frames apart.
+pub fn exposures_apart(stepper: &mut Stepper, frames: u64, count: usize) -> Images {
     let (mut images_e, mut slopes_mas) = (Vec::new(), Vec::new());
     stepper.step(300).unwrap();
     for _ in 0..count {
-        stepper.step(60).unwrap();
+        stepper.step(frames).unwrap();
         images_e.push(stepper.image_e().unwrap().mapv(f64::from));
         slopes_mas.extend(stepper.last().unwrap().slopes_mas.iter().map(|&mas| f64::from(mas)));
     }

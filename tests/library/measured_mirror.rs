@@ -1,6 +1,6 @@
 //! The mirror as it was measured: influence functions from a file.
 
-use crate::full_phase::{exposures, sky};
+use crate::full_phase::{exposures_apart, sky};
 use cophase::ao::{Simulator, Stepper, actuators_in_use};
 use cophase::io::{FitsWriter, Pixel};
 use cophase::modes::InfluenceFunctions;
@@ -126,26 +126,60 @@ fn a_sampled_gaussian_is_the_gaussian_mirror() {
     }
 }
 
-/// Behind functions with a negative ring an estimate that knows them is within its error bars.
-#[test]
-fn an_estimate_behind_the_measured_mirror_is_within_its_error_bars() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("ringed.fits");
-    write!(&path, &cube(80, ringed), "", &[]);
-    let measured = with_file(&path, &[]);
+/// What an estimate behind the ringed functions leaves of phasing and NCPA, and its error bars, nm.
+fn left_behind_ringed_mirror(folder: &Path, seed: u64, zernikes: &str) -> [(f64, f64); 2] {
+    let path = folder.join("ringed.fits");
+    write!(&path, &cube(120, ringed), "", &[]);
+    let seed = seed.to_string();
+    // Eight samples across a lenslet are too few for the images' pass band: NCPA are off by 1 nm, whatever the turbulence.
+    let settings = [
+        ("turbulence.seed", &seed[..]),
+        ("aberrations.seed", &seed),
+        ("aberrations.ncpa_zernikes", zernikes),
+        ("wavefront_sensor.samples_per_lenslet", "12"),
+    ];
+    let measured = with_file(&path, &settings);
     let mut stepper = Stepper::new(&measured).unwrap();
-    let images = exposures(&mut stepper, 8);
+    // 0.3 s apart, in which the wind of the high layer carries turbulence over the pupil.
+    let images = exposures_apart(&mut stepper, 316, 8);
     let truth = stepper.simulator().truth();
     let found = Estimator::new(&measured).unwrap().estimate(&images).unwrap();
-    let maps_nm = [(&found.phasing_nm, &truth.phasing_nm), (&found.ncpa_nm, &truth.ncpa_nm)];
-    let left_nm = maps_nm.map(|(found_nm, truth_nm)| {
-        cophase::metrics::residual_nm(&found.pupil, found_nm.view(), truth_nm.view()).unwrap()
+    let maps_nm = [
+        (&found.phasing_nm, &truth.phasing_nm, found.phasing.sigma_nm),
+        (&found.ncpa_nm, &truth.ncpa_nm, found.ncpa.sigma_nm),
+    ];
+    let left = maps_nm.map(|(found_nm, truth_nm, sigma_nm)| {
+        (cophase::metrics::residual_nm(&found.pupil, found_nm.view(), truth_nm.view()).unwrap(), sigma_nm)
     });
-    let sigma_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
-    println!("{left_nm:?} nm left, error bars {sigma_nm:?} nm");
-    // A sum of squares of some ten independent errors exceeds 2.25 times its expectation in one draw of a hundred, and an error bar from the
-    // scatter of eight images has an error of 1/√14 = 27 % itself: 1.5 · 1.27.
-    assert!(left_nm.iter().zip(&sigma_nm).all(|(left, sigma)| *left < 1.9 * sigma), "{left_nm:?} {sigma_nm:?}");
+    println!("draw {seed}: nm left and error bars {left:.2?}");
+    left
+}
+
+#[test]
+fn estimates_behind_the_measured_mirror_are_within_their_error_bars() {
+    let folder = tempfile::tempdir().unwrap();
+    let draws = 1..=6;
+    let count = draws.clone().count() as f64;
+    let mut squares = [0.0; 2];
+    for seed in draws {
+        let left = left_behind_ringed_mirror(folder.path(), seed, "[4, 11]");
+        for (square, (left_nm, sigma_nm)) in squares.iter_mut().zip(left) {
+            *square += (left_nm / sigma_nm).powi(2) / count;
+        }
+    }
+    // Some ten errors in each draw: a mean of 60 squares is known to 18 %, and the scatter of eight images, shrunk towards what all modes have
+    // in common, to 20 % in its square. Three standard deviations of both are 80 %, √1.8 = 1.34 times the error bars.
+    assert!(squares.iter().all(|square| (0.2..1.8).contains(square)), "{squares:?}");
+}
+
+/// Where NCPA extend beyond the polynomials of an estimate, modes of this mirror of few actuators are no better: they leave out a fourth of
+/// the lowest polynomials.
+#[test]
+fn modes_of_a_coarse_mirror_do_not_take_the_place_of_polynomials_that_they_leave_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let [phasing, ncpa] = left_behind_ringed_mirror(folder.path(), 4, "[4, 78]");
+    // Polynomials to order 9 hold Noll 4 to 55, and leave 13 nm; the mirror's modes leave 18. Both are in the error bars.
+    assert!(ncpa.0 < 15.5 && ncpa.0 < 1.3 * ncpa.1 && phasing.0 < 1.3 * phasing.1, "{phasing:?} {ncpa:?}");
 }
 
 /// The mirror behind a raised segment, once the loop is at rest: the response of the loop with the file is that of the functions
