@@ -18,7 +18,7 @@ pub enum TiltSelection {
 #[derive(Debug, Clone)]
 pub struct StaticsSettings {
     /// Basis ladder of the NCPA, from coarse to fine: the next family is taken where the prior variance of the last one's highest
-    /// modes shows NCPA beyond them, unless it leaves out more than half as much of the estimated ones.
+    /// modes shows NCPA beyond them, unless that family leaves out a large part of the estimated NCPA.
     pub families: Vec<NcpaFamily>,
     /// Tips and tilts of the segments.
     pub tilts: TiltSelection,
