@@ -35,6 +35,10 @@ use std::time::Instant;
 /// Random number stream of the sensor's noise under the seed of the turbulence; the streams below are the layers'.
 const SENSOR_STREAM: u64 = 1 << 32;
 
+/// Share of an image's light that the simulator's grid filters away above which it warns. 0.28 % cost 1 nm of NCPA (80 samples across ten
+/// lenslets, 40 λ/D of image); at 0.08 %, those of `keck-pyramid`, the mean error of three draws was 0.5 nm, as their scatter lets expect.
+const LARGEST_LIGHT_FILTERED: f64 = 0.0015;
+
 /// AO simulation: telescope, turbulence, loop and science camera of a scene.
 pub struct Simulator {
     pub(super) scene: Scene,
@@ -206,6 +210,26 @@ impl Simulator {
         }
         self.correction.step(&mut self.residual_nm)?;
         Ok(self.correction.last(&self.residual_nm))
+    }
+
+    /// A sentence for each channel whose images have errors because the simulator's grid is too coarse for them.
+    pub fn warnings(&self) -> Vec<String> {
+        let (samples, pupil) = (self.pupil.grid.samples(), &self.telescope.pupil);
+        let sentence = |channel: &ChannelOptics| {
+            let (view, diversity) = (View::from_scene(&channel.scene.image), &channel.diversity);
+            let filtered = view.light_filtered(samples, pupil, diversity);
+            let images = channel.name.as_ref().map_or(String::new(), |name| format!(" of channel {name}"));
+            let key = self.scene.wavefront_sensor.as_ref()?.samples_key();
+            let needed = view.samples_needed(pupil, diversity);
+            (filtered > LARGEST_LIGHT_FILTERED).then(|| {
+                format!(
+                    "{samples} samples across the pupil filter away {:.2} % of the light of the images{images}: estimates from them have \
+                     errors of a nm that are not in the error bars; {needed} are enough: set more wavefront_sensor.{key}",
+                    filtered * 100.0
+                )
+            })
+        };
+        self.channels.iter().filter_map(sentence).collect()
     }
 
     /// Builds a camera of this system's images, with the diversity and the filter of the first channel.

@@ -171,6 +171,11 @@ impl SensorScene {
         self.kind == SensorKind::Pyramid
     }
 
+    /// The key that sets the number of pupil samples across a subaperture.
+    pub(crate) fn samples_key(&self) -> &'static str {
+        if self.is_pyramid() { "samples_per_pixel" } else { "samples_per_lenslet" }
+    }
+
     /// Refuses the keys of the other kind of sensor, and sets those of a pyramid. The pixels of a pyramid are its subapertures: the keys
     /// lenslets_across and samples_per_lenslet, which all users of subapertures read, take their numbers.
     fn check_kind(&mut self, reader: &Reader) -> Result<()> {

@@ -73,6 +73,7 @@ struct Made {
     strehl_k: f64,
     diverged: bool,
     diverged_at_s: Option<f64>,
+    warnings: Vec<String>,
     growth_per_s: f64,
 }
 
@@ -139,6 +140,7 @@ fn one(
     if let Some(path) = &arguments.aot {
         ao::write_aot(path, &simulator, &shots, &summary)?;
     }
+    simulator.warnings().iter().for_each(|warning| terminal.warn(warning));
     if let Some(divergence) = summary.divergence {
         terminal.warn(&format!(
             "the loop diverged after {:.2} s, at {:.0} nm RMS; what was there by then is written",
@@ -229,6 +231,7 @@ fn made(simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Made {
         strehl_k: summary.strehl,
         diverged: summary.divergence.is_some(),
         diverged_at_s: summary.divergence.map(|divergence| divergence.time_s),
+        warnings: simulator.warnings(),
         growth_per_s: simulator.stability().growth_per_frame.ln() / simulator.frame_s(),
     }
 }

@@ -1,6 +1,6 @@
 //! The static field of a camera at one wavelength, and its transform to the focus.
 
-use super::view::{Optics, View};
+use super::view::{Optics, View, largest_band_cycles};
 use crate::ao::aligned::AlignedBuffer;
 use crate::pupil::{BandLimit, SegmentWeights};
 use crate::{Error, Result};
@@ -8,12 +8,6 @@ use ndarray::Array2;
 use num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
-
-/// Width that aberrations and turbulence add to the band of pupil frequencies that affect an image, cycles over the
-/// grid.
-const ABERRATION_CYCLES: f64 = 8.0;
-/// Least width of the low pass's transition between its pass band and the Nyquist frequency, cycles over the grid.
-const HALF_TRANSITION: f64 = 12.0;
 
 /// Static field at one wavelength, and its transform.
 pub(super) struct MonochromaticField {
@@ -126,10 +120,8 @@ impl MonochromaticField {
 /// estimated from such images are 3 to 5 % too small.
 pub(super) fn segment_weights(view: &View, optics: &Optics) -> Result<SegmentWeights> {
     let (grid, telescope) = (optics.pupil.grid, optics.telescope);
-    let n = grid.samples() as f64;
-    let half_width = view.rows.max(view.columns) as f64 / (2.0 * view.samples_per_lambda_over_d);
-    let spot = if view.diversity { optics.diversity.spot(&telescope.pupil, view.wavelength_nm) } else { 0.0 };
-    let pass = (half_width + spot + ABERRATION_CYCLES).min(n / 2.0 - HALF_TRANSITION);
+    let needed = view.band_cycles(&telescope.pupil, optics.diversity);
+    let pass = needed.min(largest_band_cycles(grid.samples()));
     // A low pass needs a pupil map at least twice as fine as the grid, and samples enough for its transition.
     if pass <= 0.0 || !telescope.is_fine() || telescope.truth_samples() < 2 * grid.samples() {
         return telescope.area_weights(grid);
