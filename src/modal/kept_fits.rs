@@ -57,9 +57,12 @@ impl Hash {
     /// An image and its bad pixels.
     pub(crate) fn frame(self, data_e: ArrayView2<f64>, bad: ArrayView2<bool>) -> Self {
         let (rows, columns) = data_e.dim();
-        let places = bad.iter().enumerate().filter(|(_, bad)| **bad).map(|(place, _)| place as u64);
-        let hash = self.word(rows as u64).word(columns as u64).numbers(data_e);
-        places.fold(hash, Self::word).word(u64::MAX)
+        let mut hash = self.word(rows as u64).word(columns as u64).numbers(data_e);
+        // No fold: it would copy the state of the hash, hundreds of bytes, for each pixel.
+        for (place, _) in bad.iter().enumerate().filter(|(_, bad)| **bad) {
+            hash = hash.word(place as u64);
+        }
+        hash.word(u64::MAX)
     }
 
     pub(crate) fn value(&self) -> u128 {
