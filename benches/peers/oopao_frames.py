@@ -4,8 +4,8 @@
     python3 benches/peers/oopao_frames.py --program target/release/cophase --preset tmt-onsky
 
 needs oopao 1.0.0. Both have the preset's samples, lenslets, actuators and layers of turbulence, and no science image: OOPAO a round pupil and a
-command matrix of random numbers, since only the time counts. OOPAO holds an influence map of 8 bytes a sample for each actuator, several times: 24 GB are too few for tmt-onsky. With
---mirror 20 its mirror has 20 intervals between actuators, and the ratio is a lower bound.
+command matrix of random numbers, since only the time counts. OOPAO holds an influence map of 8 bytes a sample for each actuator, several times: 24 GB are too few
+for tmt-onsky. With --mirror 20 its mirror has 20 intervals between actuators, and the ratio is a lower bound.
 """
 
 import argparse

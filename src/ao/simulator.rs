@@ -220,12 +220,12 @@ impl Simulator {
             let filtered = view.light_filtered(samples, pupil, diversity);
             let images = channel.name.as_ref().map_or(String::new(), |name| format!(" of channel {name}"));
             let key = self.scene.wavefront_sensor.as_ref()?.samples_key();
-            let needed = view.samples_needed(pupil, diversity);
             (filtered > LARGEST_LIGHT_FILTERED).then(|| {
                 format!(
                     "{samples} samples across the pupil filter away {:.2} % of the light of the images{images}: estimates from them have \
-                     errors of a nm that are not in the error bars; {needed} are enough: set more wavefront_sensor.{key}",
-                    filtered * 100.0
+                     errors of a nm that are not in the error bars; {} are enough: set more wavefront_sensor.{key}",
+                    filtered * 100.0,
+                    view.samples_needed(pupil, diversity)
                 )
             })
         };

@@ -19,13 +19,13 @@ use twox_hash::xxhash3_128::Hasher;
 const NUMBERS_AT_ONCE: usize = 512;
 
 /// XXH3 in 128 bits, of numbers, texts and images one after the other. It distinguishes fits; it is no protection against someone who
-/// constructs two with one hash.
+/// constructs two with one hash. In a box, because its hundreds of bytes are moved with each word: [`Hash::frame`] folds over all pixels.
 #[derive(Clone)]
-pub(crate) struct Hash(Hasher);
+pub(crate) struct Hash(Box<Hasher>);
 
 impl Hash {
     pub(crate) fn new() -> Self {
-        Self(Hasher::new())
+        Self(Box::new(Hasher::new()))
     }
 
     fn word(mut self, word: u64) -> Self {
@@ -57,12 +57,9 @@ impl Hash {
     /// An image and its bad pixels.
     pub(crate) fn frame(self, data_e: ArrayView2<f64>, bad: ArrayView2<bool>) -> Self {
         let (rows, columns) = data_e.dim();
-        let mut hash = self.word(rows as u64).word(columns as u64).numbers(data_e);
-        // No fold: it would copy the state of the hash, hundreds of bytes, for each pixel.
-        for (place, _) in bad.iter().enumerate().filter(|(_, bad)| **bad) {
-            hash = hash.word(place as u64);
-        }
-        hash.word(u64::MAX)
+        let places = bad.iter().enumerate().filter(|(_, bad)| **bad).map(|(place, _)| place as u64);
+        let hash = self.word(rows as u64).word(columns as u64).numbers(data_e);
+        places.fold(hash, Self::word).word(u64::MAX)
     }
 
     pub(crate) fn value(&self) -> u128 {
