@@ -183,7 +183,7 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: its report, as the program prints it. */
 #define COPHASE_TEXT_REPORT 1
 
-/* Text of an estimate or a session: what to know before using the numbers, one sentence a line; empty without warnings. */
+/* Text of an estimate, a session or a simulator: what to know before using the numbers, one sentence a line; empty without warnings. */
 #define COPHASE_TEXT_WARNINGS 2
 
 /* Text of an estimate: remarks that hold for every image of the scene, one sentence a line. */
@@ -512,7 +512,8 @@ typedef struct {
 /* Makes an estimator of a scene.
  *
  * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
- *   takes some seconds. Nothing else is built before the first estimate.
+ *   takes some seconds. Nothing else is built before the first estimate; its model is kept for the next ones, unless a
+ *   file that the scene names changes.
  * directory: directory of the files that the scene names; NULL for the working directory.
  * options: NULL for the defaults.
  * estimator: receives the handle.

@@ -99,6 +99,17 @@ cophase_status cophase_simulator_array(cophase_simulator *simulator,
                                        double *out,
                                        size_t count);
 
+/* Writes a text of a simulator.
+ *
+ * what: COPHASE_TEXT_WARNINGS: a sentence where the images have errors because the simulator's grid is too coarse for them.
+ * text, capacity, length: as in cophase_device_list.
+ */
+cophase_status cophase_simulator_text(const cophase_simulator *simulator,
+                                      int32_t what,
+                                      char *text,
+                                      size_t capacity,
+                                      size_t *length);
+
 #ifdef __cplusplus
 } /* extern "C" */
 #endif

@@ -109,7 +109,8 @@ fn pool(threads: i32) -> Result<Option<ThreadPool>> {
 /// Makes an estimator of a scene.
 ///
 /// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
-///   takes some seconds. Nothing else is built before the first estimate.
+///   takes some seconds. Nothing else is built before the first estimate; its model is kept for the next ones, unless a
+///   file that the scene names changes.
 /// directory: directory of the files that the scene names; NULL for the working directory.
 /// options: NULL for the defaults.
 /// estimator: receives the handle.

@@ -2,9 +2,10 @@
 
 use super::handle::{Handle, fence, give_back};
 use super::model::scene;
-use super::pointer::{place, put_array};
+use super::pointer::{place, put_array, put_text};
 use super::sized::Outputs;
 use super::status::cophase_status;
+use super::text::COPHASE_TEXT_WARNINGS;
 use crate::ao::Stepper;
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -174,6 +175,28 @@ pub unsafe extern "C" fn cophase_simulator_array(
                 put_array(out, count, &[2, rows, cols], values)
             }
             other => Err(Error::Value(format!("what is {other}: a COPHASE_ARRAY_ number of simulators is accepted"))),
+        })
+    }
+}
+
+/// Writes a text of a simulator.
+///
+/// what: COPHASE_TEXT_WARNINGS: a sentence where the images have errors because the simulator's grid is too coarse for them.
+/// text, capacity, length: as in cophase_device_list.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_simulator_text(
+    simulator: *const cophase_simulator,
+    what: i32,
+    text: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> cophase_status {
+    unsafe {
+        read(simulator, |stepper| match what {
+            COPHASE_TEXT_WARNINGS => put_text(text, capacity, length, &stepper.simulator().warnings().join("\n")),
+            other => Err(Error::Value(format!(
+                "what is {other}: COPHASE_TEXT_WARNINGS ({COPHASE_TEXT_WARNINGS}) is accepted"
+            ))),
         })
     }
 }

@@ -1,10 +1,10 @@
-//! Numbers of the texts that a session or an estimate has.
+//! Numbers of the texts that a session, an estimate or a simulator has.
 
 use crate::{Error, Result};
 
 /// Text of an estimate: its report, as the program prints it.
 pub const COPHASE_TEXT_REPORT: i32 = 1;
-/// Text of an estimate or a session: what to know before using the numbers, one sentence a line; empty without warnings.
+/// Text of an estimate, a session or a simulator: what to know before using the numbers, one sentence a line; empty without warnings.
 pub const COPHASE_TEXT_WARNINGS: i32 = 2;
 /// Text of an estimate: remarks that hold for every image of the scene, one sentence a line.
 pub const COPHASE_TEXT_REMARKS: i32 = 3;

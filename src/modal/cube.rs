@@ -1,6 +1,6 @@
 //! Cube of images: electrons, bad pixels, read noise.
 
-use ndarray::ArrayView3;
+use ndarray::{ArrayView2, ArrayView3};
 
 /// Images in electrons, with their bad pixels and their read noise.
 #[derive(Debug, Clone, Copy)]
@@ -12,4 +12,20 @@ pub struct Cube<'a> {
     /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the scatter of each
     /// image's border.
     pub read_noise_e: Option<f64>,
+}
+
+impl Cube<'_> {
+    /// Whether a pixel of an image is bad.
+    pub(super) fn has_bad(&self) -> bool {
+        self.bad.outer_iter().any(|image| has_true(image))
+    }
+}
+
+/// Whether a pixel is true.
+pub(super) fn has_true(mask: ArrayView2<bool>) -> bool {
+    // Many at once, which the compiler makes vectors of.
+    const AT_ONCE: usize = 64;
+    let Some(pixels) = mask.as_slice() else { return mask.iter().any(|pixel| *pixel) };
+    let (chunks, rest) = pixels.as_chunks::<AT_ONCE>();
+    chunks.iter().any(|chunk| chunk.iter().fold(false, |any, pixel| any | pixel)) || rest.contains(&true)
 }

@@ -192,7 +192,7 @@ impl ModalFitter {
         Ok(FittedCube::from_fits(fits))
     }
 
-    /// Fits `share`, some of the `total` images of an estimate, into the fits that this fitter keeps: the fits that the estimate needs
+    /// Fits the images `share` of the cube of an estimate into the fits that this fitter keeps: the fits that the estimate needs
     /// of them, as far as they do not depend on the other images. Of a sequence that is for a fit that may be restarted: it is where
     /// less than half of the share misfit.
     ///
@@ -201,17 +201,18 @@ impl ModalFitter {
     pub(crate) fn fit_share(
         &self,
         chain: &mut Chain,
-        share: Cube,
-        total: usize,
+        cube: Cube,
+        share: &[usize],
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<()> {
-        let (frames, task) = (self.frames(&share)?, self.task(cancel));
+        let (all, task) = (self.frames(&cube)?, self.task(cancel));
+        let frames: Vec<Frame> = share.iter().map(|image| all[*image]).collect();
         let mut fits = vec![ImageFit::new(&self.model.preparation, self.model.optics.modes()); frames.len()];
         self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
         let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
         let misfits = self.reports(&fits).iter().filter(|report| report.status != Status::Ok).count();
-        if total < SEQUENCE || 2 * misfits < fits.len() {
+        if all.len() < SEQUENCE || 2 * misfits < fits.len() {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
         }
         // Those at which the estimate looks at the residuals.

@@ -111,5 +111,5 @@ fn with_chain(model: Hash, chain: &Chain) -> Hash {
 /// Key of the fit of `frame` from the start of `fit`.
 fn key(model: &Hash, frame: &Frame, fit: &ImageFit) -> u128 {
     let noise = frame.read_noise_e.unwrap_or(-1.0);
-    model.clone().frame(frame.data_e, frame.bad).numbers([&noise]).numbers(&fit.start_nm).value()
+    model.clone().frame(frame.data_e, frame.bad).numbers(&[noise]).numbers(&fit.start_nm).value()
 }

@@ -18,9 +18,9 @@ mod parameter;
 mod search;
 
 use super::band;
-use super::basis_cache::BasisCache;
 use super::cube::Cube;
 use super::fitter::ModalFitter;
+use super::model_cache::ModelCache;
 use super::recipe::Recipe;
 use crate::optimize::CancelFlag;
 use crate::scene::{Optic, Scene};
@@ -46,7 +46,7 @@ pub(super) fn estimator(
     native: bool,
     cancel: Option<&CancelFlag>,
 ) -> Result<ModalFitter> {
-    let cache = BasisCache::default();
+    let cache = ModelCache::default();
     with_search(scene, recipe, &cache, cube, native, cancel, |search, own| {
         Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
     })
@@ -68,7 +68,7 @@ const WORTH_FITTING: f64 = 0.2;
 pub(crate) fn explaining_fit(
     scene: &Scene,
     recipe: &Recipe,
-    cache: &BasisCache,
+    cache: &ModelCache,
     cube: Cube,
     factor: f64,
     cancel: Option<&CancelFlag>,
@@ -118,7 +118,7 @@ pub(crate) struct OpticsStart<'a> {
 pub(crate) fn fit_together(
     scene: &Scene,
     recipe: &Recipe,
-    cache: &BasisCache,
+    cache: &ModelCache,
     cube: Cube,
     start: &OpticsStart,
     cancel: Option<&CancelFlag>,
@@ -151,7 +151,7 @@ pub(crate) fn fit_together(
 fn with_search<T>(
     scene: &Scene,
     recipe: &Recipe,
-    cache: &BasisCache,
+    cache: &ModelCache,
     cube: Cube,
     native: bool,
     cancel: Option<&CancelFlag>,
@@ -174,6 +174,6 @@ fn with_search<T>(
     let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
     let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
-    let (scene_basis, modes) = (cache.0.clone(), OnceLock::new());
+    let (scene_basis, modes) = (cache.basis.clone(), OnceLock::new());
     search(&Search { scene: fixed, parameters, steps, recipe, native, scene_basis, modes, cube, cancel }, own)
 }

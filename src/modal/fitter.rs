@@ -20,17 +20,18 @@ use ndarray::{Array2, ArrayView1};
 use std::fmt;
 use std::sync::{Arc, OnceLock};
 
-/// Fits static modes to images of one scene, and combines the images.
+/// Fits static modes to images of one scene, and combines the images. A clone shares the model.
+#[derive(Clone)]
 pub struct ModalFitter {
     pub(super) scene: Scene,
     pub(super) recipe: Recipe,
-    pub(super) model: Model,
+    pub(super) model: Arc<Model>,
     /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it for every chain that fits.
-    pub(super) reference: CpuChain<f64>,
-    pub(super) metrics: Metrics,
+    pub(super) reference: Arc<CpuChain<f64>>,
+    pub(super) metrics: Arc<Metrics>,
     /// Motions of the whole mirror, computed once because that takes as long as some fits.
-    pub(super) motions: GlobalMotions,
-    pub(super) tilts: Tilts,
+    pub(super) motions: Arc<GlobalMotions>,
+    pub(super) tilts: Arc<Tilts>,
     /// Errors that all images share.
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
@@ -38,7 +39,7 @@ pub struct ModalFitter {
     /// Fits that are taken where they are there, and to which others are added.
     pub(super) kept: Option<Arc<KeptFits>>,
     /// Hash of the model and the recipe, computed once because it takes an image.
-    pub(super) hash: OnceLock<Hash>,
+    pub(super) hash: Arc<OnceLock<Hash>>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -153,26 +154,25 @@ impl ModalFitter {
     }
 
     pub(super) fn from_model(scene: &Scene, recipe: Recipe, model: Model) -> Result<Self> {
-        let reference = CpuChain::new(model.optics.clone());
-        let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
-        let (motions, tilts) = (GlobalMotions::new(&model)?, Tilts::new(&model)?);
-        let shared = diversity_error::shared_error(&model, scene)?.into_iter().collect();
-        let (scene, scene_basis) = (scene.clone(), Arc::default());
-        let (fitted_optics, kept, hash) = (Vec::new(), None, OnceLock::new());
         Ok(Self {
-            scene,
+            scene: scene.clone(),
+            reference: Arc::new(CpuChain::new(model.optics.clone())),
+            metrics: Arc::new(Metrics::new(&recipe, model.tiles().derivative_bytes)),
+            motions: Arc::new(GlobalMotions::new(&model)?),
+            tilts: Arc::new(Tilts::new(&model)?),
+            shared: diversity_error::shared_error(&model, scene)?.into_iter().collect(),
+            scene_basis: Arc::default(),
+            fitted_optics: Vec::new(),
+            kept: None,
+            hash: Arc::default(),
             recipe,
-            model,
-            reference,
-            metrics,
-            motions,
-            tilts,
-            shared,
-            scene_basis,
-            fitted_optics,
-            kept,
-            hash,
+            model: Arc::new(model),
         })
+    }
+
+    /// Whether this fitter was made for `scene` and `recipe`.
+    pub(super) fn is_of(&self, scene: &Scene, recipe: &Recipe) -> bool {
+        self.recipe == *recipe && self.scene.text() == scene.text() && self.scene.directory() == scene.directory()
     }
 
     /// This fitter, which takes fits from `kept` where they are there, and adds others to them.

@@ -7,12 +7,12 @@
 
 mod combiner;
 
-use super::basis_cache::BasisCache;
 use super::combine::combine;
 use super::diversity_error::has_diversity;
 use super::fitter::ModalFitter;
 use super::integers::PistonInteger;
 use super::joint::{contradict, joint};
+use super::model_cache::ModelCache;
 use super::recipe::Recipe;
 use super::session::{FitOptions, ImageResult, Session, SessionOptions};
 use super::status::{Status, worst};
@@ -87,7 +87,7 @@ impl JointSession {
     pub fn new(scene: &Scene, options: &SessionOptions) -> Result<Self> {
         check(scene, options)?;
         let (cancel, first) = (CancelFlag::default(), &scene.channels()[0].scene);
-        let cache = BasisCache::default();
+        let cache = ModelCache::default();
         let sessions = scene.channels().iter().map(|channel| {
             let (own, recipe) = (&channel.scene, Recipe::from_scene(&channel.scene));
             if recipe.weighting != Weighting::Noise {
@@ -96,7 +96,7 @@ impl JointSession {
                     own.name()
                 )));
             }
-            let fitter = ModalFitter::with_scene_basis(own, recipe, false, cache.for_scene(first, own).0)?;
+            let fitter = ModalFitter::with_scene_basis(own, recipe, false, cache.for_scene(first, own).basis)?;
             Session::with_cancel_flag(Arc::new(fitter), options, cancel.clone())
         });
         let sessions = sessions.collect::<Result<Vec<_>>>()?;

@@ -6,6 +6,7 @@
 //! whole estimate needs.
 
 use super::chi2::ReducedChi2;
+use super::cube::has_true;
 use super::engine::{FitState, ImageFit};
 use super::minimum::Minimum;
 use crate::optimize::StopReason;
@@ -40,26 +41,31 @@ impl Hash {
     }
 
     /// Each as the word of its bits. They are hashed many at a time: a call for every eight bytes takes longer than the hash itself.
-    pub(crate) fn numbers<'a>(mut self, numbers: impl IntoIterator<Item = &'a f64>) -> Self {
-        let (mut bytes, mut filled) = ([0; 8 * NUMBERS_AT_ONCE], 0);
-        for number in numbers {
-            bytes[filled..filled + 8].copy_from_slice(&number.to_bits().to_le_bytes());
-            filled += 8;
-            if filled == bytes.len() {
-                self.0.write(&bytes);
-                filled = 0;
-            }
+    pub(crate) fn numbers(mut self, numbers: &[f64]) -> Self {
+        let mut bytes = [[0; 8]; NUMBERS_AT_ONCE];
+        for some in numbers.chunks(NUMBERS_AT_ONCE) {
+            let bytes = &mut bytes[..some.len()];
+            bytes.iter_mut().zip(some).for_each(|(bytes, number)| *bytes = number.to_bits().to_le_bytes());
+            self.0.write(bytes.as_flattened());
         }
-        self.0.write(&bytes[..filled]);
         self
     }
 
     /// An image and its bad pixels.
     pub(crate) fn frame(self, data_e: ArrayView2<f64>, bad: ArrayView2<bool>) -> Self {
         let (rows, columns) = data_e.dim();
-        let places = bad.iter().enumerate().filter(|(_, bad)| **bad).map(|(place, _)| place as u64);
-        let hash = self.word(rows as u64).word(columns as u64).numbers(data_e);
-        places.fold(hash, Self::word).word(u64::MAX)
+        let mut hash = self.word(rows as u64).word(columns as u64);
+        for row in data_e.rows() {
+            hash = match row.as_slice() {
+                Some(row) => hash.numbers(row),
+                None => hash.numbers(&row.to_vec()),
+            };
+        }
+        if has_true(bad) {
+            let places = bad.iter().enumerate().filter(|(_, bad)| **bad).map(|(place, _)| place as u64);
+            hash = places.fold(hash, Self::word);
+        }
+        hash.word(u64::MAX)
     }
 
     pub(crate) fn value(&self) -> u128 {

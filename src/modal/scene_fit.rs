@@ -1,11 +1,11 @@
 //! Modal estimate of the images of a scene: model, optical parameters where they are fitted, chain, fits.
 
-use super::basis_cache::BasisCache;
 use super::combine::ModalEstimate;
 use super::cube::Cube;
 use super::engine::Watch;
 use super::fit_optics;
 use super::fitter::ModalFitter;
+use super::model_cache::ModelCache;
 use super::recipe::Recipe;
 use crate::Result;
 use crate::imaging::Chain;
@@ -26,20 +26,20 @@ pub fn estimate_scene(
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(ModalFitter, ModalEstimate)> {
-    estimate_with(scene, Recipe::with_prior(scene), &BasisCache::default(), cube, open, cancel, watch)
+    estimate_with(scene, Recipe::with_prior(scene), &ModelCache::default(), cube, open, cancel, watch)
 }
 
 /// Whether `cube` is fitted at its native sampling.
 fn is_native(scene: &Scene, cube: Cube) -> bool {
-    scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad)
+    scene.estimate.sampling == Sampling::Auto && cube.has_bad()
 }
 
 /// The fitter for `cube` of a scene that fits no optical parameters.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`].
-pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &BasisCache, cube: Cube) -> Result<ModalFitter> {
-    ModalFitter::with_scene_basis(scene, recipe, is_native(scene, cube), cache.0.clone())
+pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &ModelCache, cube: Cube) -> Result<ModalFitter> {
+    cache.fitter(scene, recipe, is_native(scene, cube))
 }
 
 /// The fitter for `cube` of `scene`, whose optical parameters are fitted first where it names some.
@@ -49,7 +49,7 @@ pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &BasisCache, cube
 pub(crate) fn fitter_of(
     scene: &Scene,
     recipe: Recipe,
-    cache: &BasisCache,
+    cache: &ModelCache,
     cube: Cube,
     cancel: Option<&CancelFlag>,
 ) -> Result<ModalFitter> {
@@ -69,7 +69,7 @@ pub(crate) fn fitter_of(
 pub fn estimate_with(
     scene: &Scene,
     recipe: Recipe,
-    cache: &BasisCache,
+    cache: &ModelCache,
     cube: Cube,
     open: &mut OpenChain,
     cancel: Option<&CancelFlag>,

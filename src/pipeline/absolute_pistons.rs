@@ -10,7 +10,7 @@ use super::control::Control;
 use super::modal_task::ModalTask;
 use super::policy::Policy;
 use super::sequence_channel::{SequenceChannel, progress_of};
-use crate::modal::{BasisCache, ColourEstimate, PistonInteger, pistons_near, resolve_estimates};
+use crate::modal::{ColourEstimate, ModelCache, PistonInteger, pistons_near, resolve_estimates};
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{
@@ -107,7 +107,7 @@ impl Colours<'_, '_> {
             scene: &scene,
             policy: &Policy { restart: false, select_model: false, ..*self.policy },
             control: self.control,
-            cache: &BasisCache::default(),
+            cache: &ModelCache::default(),
             images: &images,
             kept: None,
         };

@@ -11,7 +11,7 @@ use super::model_selection::Selected;
 use super::parts::Part;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
-use crate::modal::{BasisCache, CombinedModes, JointEstimate, KeptFits, has_diversity, joint};
+use crate::modal::{CombinedModes, JointEstimate, KeptFits, ModelCache, has_diversity, joint};
 use crate::scene::{Optic, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -37,7 +37,7 @@ pub(super) fn estimate(
     scene: &Scene,
     policy: &Policy,
     control: &Control,
-    cache: &BasisCache,
+    cache: &ModelCache,
     channels: &[ChannelImages],
     kept: Option<&Arc<KeptFits>>,
 ) -> Result<Estimate> {
@@ -83,7 +83,7 @@ pub(super) fn fit_share(
     scene: &Scene,
     policy: &Policy,
     control: &Control,
-    cache: &BasisCache,
+    cache: &ModelCache,
     channels: &[ChannelImages],
     (kept, part): (&Arc<KeptFits>, Part),
 ) -> Result<()> {
@@ -106,7 +106,7 @@ struct Channels<'a> {
     scene: &'a Scene,
     channels: &'a [&'a ChannelImages<'a>],
     /// Scene and Karhunen-Loève basis by which each is fitted.
-    scenes: Vec<(Scene, BasisCache)>,
+    scenes: Vec<(Scene, ModelCache)>,
     policy: Policy,
     control: &'a Control,
     kept: Option<&'a Arc<KeptFits>>,
@@ -117,7 +117,7 @@ impl<'a> Channels<'a> {
         scene: &'a Scene,
         policy: &Policy,
         control: &'a Control,
-        cache: &BasisCache,
+        cache: &ModelCache,
         channels: &'a [&'a ChannelImages<'a>],
     ) -> Result<Self> {
         let scenes = channels.iter().map(|channel| {

@@ -33,7 +33,7 @@ use super::modal_task::{Fitted, ModalTask};
 use super::orientation::Poke;
 use super::policy::Policy;
 use crate::io::Quantity as Card;
-use crate::modal::{BasisCache, FittedImage, ModalEstimate};
+use crate::modal::{FittedImage, ModalEstimate, ModelCache};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use finding::with;
@@ -125,14 +125,14 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    fn fit(&self, scene: &Scene, cache: &BasisCache) -> Result<Fitted> {
+    fn fit(&self, scene: &Scene, cache: &ModelCache) -> Result<Fitted> {
         let (policy, control) = (&self.policy, self.control);
         ModalTask { scene, policy, control, cache, images: &self.images, kept: None }.fit()
     }
 
     /// Reduced χ² of image `image` with `scene`, without restarts, which a scene that explains it does not need; `None` where the fit fails.
     fn trial_chi2(&self, scene: &Scene, image: usize) -> Result<Option<f64>> {
-        let (policy, control, cache) = (&self.policy, self.control, &BasisCache::default());
+        let (policy, control, cache) = (&self.policy, self.control, &ModelCache::default());
         match (ModalTask { scene, policy, control, cache, images: &self.images, kept: None }).fit_one(scene, image) {
             // Near the right scene a fit may end at the limit of its evaluations, with a χ² that is lower than elsewhere.
             Ok(fit) => Ok(fit.and_then(|(_, found)| found.images.first().map(|image| image.reduced_chi2))),
@@ -143,7 +143,7 @@ impl Work<'_> {
 
     /// Checks the images against `given`, the scene `own` without what only an estimate does.
     fn run(&mut self, own: &Scene, given: &Scene, poke: Option<(Option<&Images>, &Images, Poke)>) -> Result<Check> {
-        let cache = BasisCache::default();
+        let cache = ModelCache::default();
         let (mut fitted, focus) = self.first_fit(given, &cache)?;
         let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
         let mut findings: Vec<_> = focus.into_iter().collect();
@@ -175,7 +175,7 @@ impl Work<'_> {
 
     /// Fits the images, and finds where one is in focus and the scene has a defocus, which NCPA of the opposite focus may explain; or the reverse,
     /// if the scene does not explain them. Where they cannot be fitted for that, they are with the defocus that is seen.
-    fn first_fit(&self, scene: &Scene, cache: &BasisCache) -> Result<(Fitted, Option<Finding>)> {
+    fn first_fit(&self, scene: &Scene, cache: &ModelCache) -> Result<(Fitted, Option<Finding>)> {
         let first = self.fit(scene, cache);
         let image = match &first {
             Ok(fitted) => first_used(fitted),
@@ -206,7 +206,7 @@ impl Work<'_> {
     }
 
     /// Saturated pixels; they are bad from then on.
-    fn saturation(&mut self, scene: &Scene, cache: &BasisCache, fitted: &mut Fitted) -> Result<Finding> {
+    fn saturation(&mut self, scene: &Scene, cache: &ModelCache, fitted: &mut Fitted) -> Result<Finding> {
         let image = first_used(fitted);
         let frame_e = self.images.images_e.index_axis(Axis(0), image);
         let Some(sentence) =
@@ -236,7 +236,7 @@ impl Work<'_> {
     fn with_case<T>(
         &self,
         fitted: &Fitted,
-        cache: &BasisCache,
+        cache: &ModelCache,
         of: impl FnOnce(&misfit::Case, &ModalEstimate) -> Result<T>,
     ) -> Result<T> {
         let (fitter, found) = &fitted.fit;

@@ -9,16 +9,18 @@ use super::images::{Images, TruthMaps, counted};
 use super::modal_task::ModalTask;
 use super::parts::PartFits;
 use super::policy::Policy;
-use super::scene_files::check_for_estimate;
+use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{channel_sequence, channels, map, modal};
-use crate::modal::{BasisCache, check_frame_shape};
+use crate::modal::{ModelCache, check_frame_shape};
 use crate::planner;
 use crate::scene::{Channel, Method, Scene};
 use crate::{Error, Result};
 use std::borrow::Cow;
+use std::sync::{Mutex, PoisonError};
 
-/// Estimates the static wavefront behind images of one scene.
+/// Estimates the static wavefront behind images of one scene. The model of a modal estimate is kept for the next one, unless the image file,
+/// fitted optics or a file that the scene names change it.
 pub struct Estimator {
     /// The scene as given.
     pub(super) given: Scene,
@@ -26,7 +28,8 @@ pub struct Estimator {
     pub(super) scene: Scene,
     pub(super) policy: Policy,
     pub(super) control: Control,
-    pub(super) cache: BasisCache,
+    /// What was built, and the files' states then.
+    pub(super) cache: Mutex<(Vec<FileState>, ModelCache)>,
     /// Why a plan does not meet its budget.
     pub(super) shortfall: Option<String>,
     /// Fits that were made in parts.
@@ -51,7 +54,7 @@ impl Estimator {
         policy.check(scene)?;
         check_for_estimate(scene)?;
         let (given, (scene, shortfall)) = (scene.clone(), planned(scene, &control)?);
-        Ok(Self { given, scene, policy, control, cache: BasisCache::default(), shortfall, parts: None })
+        Ok(Self { given, scene, policy, control, cache: Mutex::default(), shortfall, parts: None })
     }
 
     /// An estimator of another scene with this one's policy and control. It shares the Karhunen-Loève basis, which takes most
@@ -60,8 +63,19 @@ impl Estimator {
     /// # Errors
     /// As [`Estimator::with_policy`].
     pub fn variant(&self, scene: &Scene) -> Result<Self> {
-        let cache = self.cache.for_scene(&self.scene, scene);
-        Ok(Self { cache, ..Self::with_policy(scene, self.policy, self.control.clone())? })
+        let cache = self.cache().for_scene(&self.scene, scene);
+        let variant = Self::with_policy(scene, self.policy, self.control.clone())?;
+        Ok(Self { cache: Mutex::new((file_states(&variant.scene), cache)), ..variant })
+    }
+
+    /// What earlier estimates have built; nothing where a file of the scene has changed since.
+    pub(super) fn cache(&self) -> ModelCache {
+        let files = file_states(&self.scene);
+        let mut kept = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        if kept.0 != files {
+            *kept = (files, ModelCache::default());
+        }
+        kept.1.clone()
     }
 
     /// The scene, with the choices of its plan where it named a budget.
@@ -131,9 +145,9 @@ impl Estimator {
         let consistent = reconcile(images, &self.given)?;
         let (scene, shortfall, cache) = if consistent.is_changed {
             let (scene, shortfall) = planned(&consistent.scene, &self.control)?;
-            (scene, shortfall, BasisCache::default())
+            (scene, shortfall, ModelCache::default())
         } else {
-            (self.scene.clone(), self.shortfall.clone(), self.cache.clone())
+            (self.scene.clone(), self.shortfall.clone(), self.cache())
         };
         let (scene, chosen) = resolved(&scene, &consistent.images)?;
         let notes = shortfall.into_iter().chain(images.notes.iter().cloned()).collect();
@@ -159,7 +173,7 @@ impl Estimator {
             Method::Modal | Method::Auto => {
                 let each: Vec<_> = ready.iter().map(|channel| (&channel.scene, &channel.images)).collect();
                 let kept = self.kept_for(&scene, &each)?;
-                channels::estimate(&scene, policy, control, &self.cache, &ready, kept)
+                channels::estimate(&scene, policy, control, &self.cache(), &ready, kept)
             }
         };
         self.control.enter(Stage::Idle, 0);
@@ -210,7 +224,7 @@ pub(super) struct Ready<'a> {
     /// The scene, with the choices of its plan, the file's values that are trusted, and the method.
     pub(super) scene: Scene,
     pub(super) images: Electrons<'a>,
-    pub(super) cache: BasisCache,
+    pub(super) cache: ModelCache,
     notes: Vec<String>,
     remarks: Vec<String>,
 }

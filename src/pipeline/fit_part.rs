@@ -95,7 +95,7 @@ impl Estimator {
         let cut = self.cut_channels(&images);
         let ReadyChannels { scene, channels, .. } = self.ready_channels(&images, &cut)?;
         refuse_map(&scene)?;
-        channels::fit_share(&scene, policy, control, &self.cache, &channels, (kept, part))?;
+        channels::fit_share(&scene, policy, control, &self.cache(), &channels, (kept, part))?;
         let each: Vec<_> = channels.iter().map(|channel| (&channel.scene, &channel.images)).collect();
         Ok((self.identity(&scene, &each), channels.iter().map(|channel| channel.images.len()).sum()))
     }
@@ -120,7 +120,7 @@ impl Estimator {
         let of_channel = |hash: Hash, (scene, images): &(&Scene, &Electrons)| {
             let noise = images.read_noise_e.unwrap_or(-1.0);
             let pairs = images.images_e.outer_iter().zip(images.bad.outer_iter());
-            pairs.fold(hash.text(scene.text()).numbers([&noise]), |hash, (data_e, bad)| hash.frame(data_e, bad))
+            pairs.fold(hash.text(scene.text()).numbers(&[noise]), |hash, (data_e, bad)| hash.frame(data_e, bad))
         };
         each.iter().fold(start, of_channel).value()
     }

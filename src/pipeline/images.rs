@@ -81,12 +81,20 @@ impl Images {
     /// [`Images::new`] with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
     /// notes have the number of those that the mask does not have.
     pub fn with_bad(images_e: Array3<f64>, mut bad: Array3<bool>) -> Self {
-        let is_masked = bad.iter().copied().chain(std::iter::repeat(false));
-        let non_finite = images_e.iter().zip(is_masked).filter(|(electrons, bad)| !electrons.is_finite() && !bad);
-        let notes = note_of_masked(non_finite.count()).into_iter().collect();
+        let mut non_finite = 0;
+        // A mask of another shape is refused with the images.
         if bad.dim() == images_e.dim() {
-            bad.zip_mut_with(&images_e, |bad, electrons| *bad |= !electrons.is_finite());
+            bad.zip_mut_with(&images_e, |bad, electrons| {
+                let is_new = !electrons.is_finite() & !*bad;
+                non_finite += usize::from(is_new);
+                *bad |= is_new;
+            });
         }
+        Self { notes: note_of_masked(non_finite).into_iter().collect(), ..Self::marked(images_e, bad) }
+    }
+
+    /// Images whose pixels that are not finite are among the `bad` ones.
+    fn marked(images_e: Array3<f64>, bad: Array3<bool>) -> Self {
         Self {
             images_e,
             bad,
@@ -100,7 +108,7 @@ impl Images {
             trust: Trust::Neither,
             overrides: Vec::new(),
             channel: None,
-            notes,
+            notes: Vec::new(),
         }
     }
 
@@ -146,7 +154,7 @@ impl Images {
         let moved = moved_reference(&mut file)?;
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
             let found = slopes(&mut file, &read)?;
-            let mut images = Self::with_bad(read.data, read.bad);
+            let mut images = Self::marked(read.data, read.bad);
             let masked = note_of_masked(read.non_finite);
             images.notes = read.repaired.into_iter().chain(read.notes).chain(found.left_out).chain(masked).collect();
             (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);

@@ -6,9 +6,8 @@ use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::Result;
 use crate::imaging::Chain;
-use crate::modal::{self, BasisCache, CombinedModes, Cube, ImageStatus, KeptFits, ModalFit, ModalFitter, Recipe};
+use crate::modal::{self, CombinedModes, Cube, ImageStatus, KeptFits, ModalFit, ModalFitter, ModelCache, Recipe};
 use crate::scene::Scene;
-use ndarray::Axis;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -18,7 +17,7 @@ pub(super) struct ModalTask<'a> {
     pub(super) scene: &'a Scene,
     pub(super) policy: &'a Policy,
     pub(super) control: &'a Control,
-    pub(super) cache: &'a BasisCache,
+    pub(super) cache: &'a ModelCache,
     pub(super) images: &'a Electrons<'a>,
     /// Fits of the images that were made before, and are not made again.
     pub(super) kept: Option<&'a Arc<KeptFits>>,
@@ -126,11 +125,8 @@ impl ModalTask<'_> {
         self.control.enter(Stage::Preparing, 0);
         let fitter = self.fitter(self.scene)?;
         let mut chain = self.begin(&fitter, images.len())?;
-        let cube = self.cube();
-        let (images_e, bad) = (cube.images_e.select(Axis(0), images), cube.bad.select(Axis(0), images));
-        let share = Cube { images_e: images_e.view(), bad: bad.view(), ..cube };
         let flag = Some(self.control.flag());
-        fitter.fit_share(&mut chain, share, self.images.len(), flag, &mut |d, a| self.watch(d, a))?;
+        fitter.fit_share(&mut chain, self.cube(), images, flag, &mut |d, a| self.watch(d, a))?;
         self.check()
     }
 

@@ -4,6 +4,7 @@ use crate::io::file_of;
 use crate::scene::{Aperture, Purpose, Scene};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// Files that each channel may have of its own.
 const DIVERSITY_FILE: &str = "image.diversity_file";
@@ -48,6 +49,18 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
         ),
     ];
     files.into_iter().filter_map(|(key, file)| Some((key, scene.resolve(file?)))).chain(channels).collect()
+}
+
+/// Time and length of a file, by which a change of it is seen; `None` where it is not there.
+pub(super) type FileState = Option<(SystemTime, u64)>;
+
+/// State of each file that `scene` names.
+pub(super) fn file_states(scene: &Scene) -> Vec<FileState> {
+    let state = |path: &Path| {
+        let metadata = file_of(path).metadata().ok()?;
+        Some((metadata.modified().ok()?, metadata.len()))
+    };
+    scene_files(scene).iter().map(|(_, path)| state(path)).collect()
 }
 
 /// Refuses a scene that names a file which does not exist under a key that `is_checked` accepts, whether or not the file is read:

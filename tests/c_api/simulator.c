@@ -72,6 +72,27 @@ static void refusals(cophase_simulator *simulator, const cophase_simulator_info 
     free(memory);
 }
 
+/* What to know before using the images: nothing with this scene, one sentence with fewer samples. */
+static void warnings(const cophase_simulator *simulator, const char *scene)
+{
+    const char *const key = "wavefront_sensor.samples_per_lenslet";
+    cophase_simulator *coarse = NULL;
+    char sentence[512], changed[4096];
+    size_t length = 7;
+
+    REFUSED(COPHASE_BAD_VALUE, "what is 4:", cophase_simulator_text(simulator, COPHASE_TEXT_DEVICE, sentence, sizeof sentence, &length));
+    REFUSED(COPHASE_BAD_ARGUMENT, "simulator is NULL", cophase_simulator_text(NULL, COPHASE_TEXT_WARNINGS, NULL, 0, &length));
+    CHECK(length == 7);
+    CHECK(cophase_simulator_text(simulator, COPHASE_TEXT_WARNINGS, sentence, sizeof sentence, &length) == COPHASE_OK);
+    CHECK(length == 0 && sentence[0] == '\0');
+    CHECK(cophase_scene_set(scene, key, "6", changed, sizeof changed, &length) == COPHASE_OK && length < sizeof changed);
+    CHECK(cophase_simulator_create(changed, NULL, &coarse) == COPHASE_OK);
+    CHECK(cophase_simulator_text(coarse, COPHASE_TEXT_WARNINGS, sentence, sizeof sentence, &length) == COPHASE_OK);
+    CHECK(length > 0 && length < sizeof sentence && strstr(sentence, "60 samples across the pupil filter away") == sentence);
+    CHECK(strstr(sentence, key) != NULL && strchr(sentence, '\n') == NULL);
+    cophase_simulator_destroy(coarse);
+}
+
 static void dump_array(cophase_simulator *simulator, int32_t what, size_t count, FILE *file)
 {
     double *values = doubles(count);
@@ -103,9 +124,10 @@ int main(int argc, char **argv)
     without_a_simulator(scene);
 
     CHECK(cophase_simulator_create(scene, NULL, &simulator) == COPHASE_OK);
-    free(scene); /* it was copied */
     if (simulator == NULL)
         return 1;
+    warnings(simulator, scene);
+    free(scene); /* it was copied */
     CHECK(cophase_simulator_get_info(simulator, &info, sizeof info) == COPHASE_OK);
     CHECK(info.residual_samples == 80 && info.rows == 40 && info.cols == 48 && info.truth_samples == 60);
     CHECK(info.frames == 0 && info.residual_rms_nm != info.residual_rms_nm);

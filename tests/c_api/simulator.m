@@ -55,6 +55,11 @@ must_fail('BAD_ARGUMENT', 'scene is', @() cophase.scene_set(3, 'image.pixels', 3
 s = cophase.Simulator(fileread(scene), '.');
 assert(mislocked('cophase_mex'));
 must_fail('BAD_VALUE', 'step first', @() s.image_e);
+assert(isempty(s.warnings));
+coarse = cophase.Simulator(cophase.scene_set(scene, 'wavefront_sensor.samples_per_lenslet', 6));
+assert(numel(coarse.warnings), 1);
+assert(strncmp(coarse.warnings{1}, '60 samples across the pupil', 27));
+delete(coarse);
 must_fail('BAD_VALUE', 'frames is', @() s.step(-1));
 must_fail('BAD_VALUE', 'frames is', @() s.step(1.5));
 must_fail('BAD_VALUE', 'frames is', @() s.step(NaN));

@@ -42,7 +42,11 @@ def misuse():
 def main(scene, frames, dump):
     misuse()
     with open(scene, encoding="utf-8") as file:
-        simulator = cophase.Simulator(file.read(), directory=".")
+        text = file.read()
+    simulator = cophase.Simulator(text, directory=".")
+    assert simulator.warnings == [], simulator.warnings
+    coarse = cophase.Simulator(cophase.scene_set(text, wavefront_sensor__samples_per_lenslet=6))
+    assert len(coarse.warnings) == 1 and coarse.warnings[0].startswith("60 samples across the pupil"), coarse.warnings
     early = failure(lambda: simulator.image_e)
     assert early.status == "BAD_VALUE" and "step first" in str(early), early
     simulator.step(int(frames))

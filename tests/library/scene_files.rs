@@ -38,6 +38,24 @@ fn an_estimator_misses_every_file_that_its_scene_names() {
 }
 
 #[test]
+fn an_estimator_keeps_its_model_until_a_file_of_its_scene_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let filter = folder.path().join("filter.csv");
+    let path = filter.display().to_string();
+    let scene = scene(&[("image.filter_file", &*path), ("estimate.model", "scene")]);
+    let wide = "2000, 0\n2100, 1\n2300, 1\n2400, 0\n";
+    std::fs::write(&filter, wide).unwrap();
+    let (images, estimator) = (Images::simulated(&scene).unwrap(), Estimator::new(&scene).unwrap());
+    let estimates = |estimator: &Estimator| estimator.estimate(&images).unwrap().coefficients_nm;
+    let found = estimates(&estimator);
+    assert_eq!(estimates(&estimator), found);
+    std::fs::write(&filter, wide.replace("2100", "2150")).unwrap();
+    let changed = estimates(&estimator);
+    assert_ne!(changed, found);
+    assert_eq!(changed, estimates(&Estimator::new(&scene).unwrap()));
+}
+
+#[test]
 fn the_scene_in_an_image_file_may_name_files_of_another_machine() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");

@@ -3,8 +3,8 @@ classdef Estimator < cophase.Handle
     %   estimator = cophase.Estimator(scene) makes an estimator of a scene: a TOML file, the name of a preset
     %   (cophase.preset), or TOML text. The scene's estimate.method says whether the estimate is modal or maximum a
     %   posteriori (MAP, 'full-phase': the wavefront behind each exposure, static errors separated from the turbulence).
-    %   With estimate.budget_nm the model is planned here, which takes some seconds. The results are those of
-    %   `cophase estimate`, to the bit.
+    %   With estimate.budget_nm the model is planned here, which takes some seconds. The model of an estimate is kept for
+    %   the next ones, unless a file that the scene names changes. The results are those of `cophase estimate`, to the bit.
     %
     %   estimator = cophase.Estimator(scene, Name, Value, ...) chooses:
     %      'policy'     'full': modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it;

@@ -21,6 +21,7 @@ classdef Simulator < cophase.Handle
         info            % slopes, actuators, residual_samples, truth_samples, rows, cols: sizes; frames since the loop
                         % was closed; frame_s of each; divergence_s, time at which the loop diverged, NaN while it has
                         % not; residual_rms_nm over the pupil, piston removed
+        warnings        % what to know before using the images, a cell of sentences: a grid that is too coarse for them
         slopes_mas      % measured slopes, along x for every subaperture, then along y, mas
         commands_nm     % commands on the mirror, nm of wavefront
         residual_nm     % residual wavefront (y, x), nm; NaN where the pupil has no light
@@ -60,6 +61,10 @@ classdef Simulator < cophase.Handle
 
         function value = get.info(self)
             value = cophase_mex('simulator.info', self.id);
+        end
+
+        function value = get.warnings(self)
+            value = cophase.Handle.lines(cophase_mex('simulator.text', self.id, 'WARNINGS'));
         end
 
         function value = get.slopes_mas(self)

@@ -56,10 +56,25 @@ static void do_array(int outputs, mxArray **out, int inputs, const mxArray **in)
     check(cophase_simulator_array(simulator_of(in[0]), choice(in[1], ARRAYS, "the name"), mxGetPr(out[0]), count));
 }
 
+static cophase_status simulator_text(const void *object, int32_t what, size_t index, char *text, size_t capacity,
+                                     size_t *length)
+{
+    return cophase_simulator_text((const cophase_simulator *)object, what, text, capacity, length);
+}
+
+static const constant_name TEXTS[] = {{"WARNINGS", COPHASE_TEXT_WARNINGS}, {NULL, 0}};
+
+/* (simulator, 'WARNINGS'): a text. */
+static void do_text(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    out[0] = long_text(simulator_text, simulator_of(in[0]), choice(in[1], TEXTS, "the name"), 0);
+}
+
 const command SIMULATOR_COMMANDS[] = {
     {"simulator.create", 2, 2, do_create},
     {"simulator.step", 2, 2, do_step},
     {"simulator.info", 1, 1, do_info},
     {"simulator.array", 3, 3, do_array},
+    {"simulator.text", 2, 2, do_text},
     {NULL, 0, 0, NULL},
 };

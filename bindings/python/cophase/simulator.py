@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ._arrays import output
 from ._handle import Handle
-from ._library import check, lib, path_text, read_scene, struct, text
+from ._library import check, lib, library_text, path_text, read_scene, struct, text
 
 #: Frames between two checks of Ctrl-C: some tens of milliseconds.
 _FRAMES_AT_ONCE = 256
@@ -57,6 +57,11 @@ class Simulator(Handle):
         since the loop was closed, ``frame_s`` of each, ``divergence_s`` (time at which the loop diverged, NaN while it
         has not), ``residual_rms_nm`` over the pupil, piston removed."""
         return struct("cophase_simulator_info", lib.cophase_simulator_get_info, self._handle)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to know before using the images: a sentence where the simulator's grid is too coarse for them."""
+        return library_text(lib.cophase_simulator_text, self._handle, lib.COPHASE_TEXT_WARNINGS).splitlines()
 
     @property
     def slopes_mas(self) -> NDArray[np.float64]:

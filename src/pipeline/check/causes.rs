@@ -2,7 +2,7 @@
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
 use super::{Work, chi2_of, first_used, optics, pixels_of, shapes, turns};
-use crate::modal::{self, BasisCache, Cube, ImageStatus, OpticsMinimum, OpticsStart};
+use crate::modal::{self, Cube, ImageStatus, ModelCache, OpticsMinimum, OpticsStart};
 use crate::pipeline::control::Stage;
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::residual_shape::{Shape, ShapeKind};
@@ -40,7 +40,7 @@ struct FittedTogether {
 
 impl Work<'_> {
     /// Optical parameters, fitted together, and shapes of the residual.
-    pub(super) fn causes(&self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Vec<Finding>> {
+    pub(super) fn causes(&self, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Result<Vec<Finding>> {
         let (excess, shapes) = self.with_case(fitted, cache, |case, found| {
             Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
         })?;
@@ -96,7 +96,7 @@ impl Work<'_> {
     fn fitted_together(
         &self,
         scene: &Scene,
-        cache: &BasisCache,
+        cache: &ModelCache,
         fitted: &Fitted,
         left: &Left,
     ) -> Result<FittedTogether> {
@@ -136,7 +136,7 @@ impl Work<'_> {
 
     /// A rotation of the pupil that explains the images alone, from that of the scene on or, where that leads to none, from the best of others;
     /// `fitted` is the fit with the scene's.
-    fn rotation(&self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Option<OpticsMinimum>> {
+    fn rotation(&self, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Result<Option<OpticsMinimum>> {
         let only_rotation = [Optic::Rotation];
         let near = self.minimum((scene, fitted), cache, &only_rotation, &[])?;
         if near.as_ref().is_some_and(is_explained) {
@@ -161,7 +161,7 @@ impl Work<'_> {
     fn minimum(
         &self,
         (scene, fitted): (&Scene, &Fitted),
-        cache: &BasisCache,
+        cache: &ModelCache,
         parameters: &[Optic],
         elsewhere: &[(Optic, f64)],
     ) -> Result<Option<OpticsMinimum>> {
@@ -183,7 +183,7 @@ impl Work<'_> {
     fn chi2_of_square_pixels(
         &self,
         scene: &Scene,
-        cache: &BasisCache,
+        cache: &ModelCache,
         shapes: &[Shape],
         left: &Left,
     ) -> Result<Option<f64>> {

@@ -2,20 +2,20 @@
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
 use super::{Work, chi2_of, pixels_of};
-use crate::modal::BasisCache;
+use crate::modal::ModelCache;
 use crate::pipeline::consistency::Contradiction;
 use crate::pipeline::modal_task::Fitted;
 use crate::scene::Scene;
 
 impl Work<'_> {
     /// A finding for each contradiction that is left; `fitted` is the fit with `scene`.
-    pub(super) fn header(&self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Vec<Finding> {
+    pub(super) fn header(&self, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Vec<Finding> {
         self.contradictions.iter().map(|one| self.of_contradiction(one, scene, cache, fitted)).collect()
     }
 
     /// A value of the file is a fault where the images agree with it, and where they do not decide: an estimate refuses it then. Of a scene
     /// that was corrected since the file was written the images know better.
-    fn of_contradiction(&self, one: &Contradiction, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Finding {
+    fn of_contradiction(&self, one: &Contradiction, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Finding {
         let settings = vec![(one.key.clone(), one.file_value.clone())];
         let fault = |gain: f64, explanation: String| Finding {
             gain,

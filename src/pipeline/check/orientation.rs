@@ -4,7 +4,7 @@ use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
 use super::turns::{self, Turn};
 use super::{Work, chi2_of, first_used, pixels_of};
 use crate::Result;
-use crate::modal::BasisCache;
+use crate::modal::ModelCache;
 use crate::pipeline::images::Images;
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::orientation::Poke;
@@ -22,7 +22,7 @@ impl Work<'_> {
     pub(super) fn orientation(
         &self,
         given: &Scene,
-        cache: &BasisCache,
+        cache: &ModelCache,
         fitted: &mut Fitted,
         poke: Option<(Option<&Images>, &Images, Poke)>,
     ) -> Result<(Scene, Vec<Finding>)> {
@@ -80,7 +80,7 @@ impl Work<'_> {
         let is_right = |chi2: f64| (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0);
         if let Some((number, other, _)) = best.filter(|(.., chi2)| !is_explained && is_right(*chi2))
             // A new basis: that of the cache belongs to the scene's rotation.
-            && let Ok(again) = self.fit(&other, &BasisCache::default())
+            && let Ok(again) = self.fit(&other, &ModelCache::default())
             && is_right(chi2_of(&again))
         {
             let turn = turns.swap_remove(number);
