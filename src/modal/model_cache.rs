@@ -51,10 +51,11 @@ mod tests {
             [("pupil.samples", "64"), ("image.pixels", "64"), ("modes.ncpa", "zernike"), ("modes.ncpa_count", "5")];
         let scene = Scene::preset("keck-artificial").unwrap().with(&small).unwrap();
         let cache = ModelCache::default();
-        let first = cache.fitter(&scene, Recipe::from_scene(&scene), false).unwrap();
-        let is_first = |fitter: &ModalFitter| Arc::ptr_eq(&fitter.model, &first.model);
-        let again = cache.fitter(&scene, Recipe::from_scene(&scene), false).unwrap();
-        assert!(is_first(&again) && Arc::ptr_eq(&again.metrics, &first.metrics));
+        let own = || cache.fitter(&scene, Recipe::from_scene(&scene), false).unwrap();
+        let is_shared = |one: &ModalFitter, other: &ModalFitter| {
+            Arc::ptr_eq(&one.model, &other.model) && Arc::ptr_eq(&one.metrics, &other.metrics)
+        };
+        assert!(is_shared(&own(), &own()));
         let other = scene.with(&[("image.diversity_focus_waves_rms", "0.5")]).unwrap();
         let recipe = Recipe { restarts: 0, ..Recipe::from_scene(&scene) };
         for (scene, recipe, native) in [
@@ -62,9 +63,10 @@ mod tests {
             (&scene, recipe, false),
             (&scene, Recipe::from_scene(&scene), true),
         ] {
-            // Each takes the place of the one before.
-            cache.fitter(&first.scene, first.recipe.clone(), false).unwrap();
-            assert!(!is_first(&cache.fitter(scene, recipe, native).unwrap()));
+            let before = own();
+            let other = cache.fitter(scene, recipe, native).unwrap();
+            assert!(!Arc::ptr_eq(&before.model, &other.model));
+            assert!(!is_shared(&before, &own()), "the other has taken its place");
         }
     }
 }
