@@ -12,7 +12,7 @@
 //!   bars cost.
 
 use cophase::imaging::{Chain, Precision};
-use cophase::modal::{Cube, ModalFitter};
+use cophase::modal::{Cube, Frame, ModalFitter};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::{Array1, Array2, Axis};
@@ -194,6 +194,10 @@ fn measure(point: &Point) -> Found {
     let at = Array1::zeros(modes);
     let bars_s = timed(|| drop(estimator.bound(at.view(), 1e6, 1.0).expect("modes are seen")));
     let coefficients = Array2::from_shape_fn((1, modes), |(image, mode)| 20.0 * ((7 * image + 3 * mode) as f64).sin());
+    // The fits leave no image loaded.
+    let frame = Frame { data_e: images_e.index_axis(Axis(0), 0), bad: bad.index_axis(Axis(0), 0), read_noise_e: None };
+    let prepared = estimator.model().preparation.prepare(frame, estimator.recipe()).expect("the image holds a star");
+    chain.load(&[prepared.exposure]).expect("the image fits");
     let evaluation_s = timed(|| drop(chain.evaluate(&[0], coefficients.view()).expect("the evaluation runs")));
     assert_eq!(estimate.images.len(), images_e.len_of(Axis(0)));
     Found { modes, model_s, evaluation_s, bars_s, fit_s: estimate.seconds, evaluations, peak, formula }
