@@ -20,7 +20,7 @@ use twox_hash::xxhash3_128::Hasher;
 const NUMBERS_AT_ONCE: usize = 512;
 
 /// XXH3 in 128 bits, of numbers, texts and images one after the other. It distinguishes fits; it is no protection against someone who
-/// constructs two with one hash. In a box, because its hundreds of bytes are moved with each word: [`Hash::frame`] folds over all pixels.
+/// constructs two with one hash. In a box, because its hundreds of bytes are moved with each word.
 #[derive(Clone)]
 pub(crate) struct Hash(Box<Hasher>);
 

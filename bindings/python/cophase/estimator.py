@@ -78,8 +78,9 @@ class Estimator(Handle):
 
     The scene's ``estimate.method`` says whether the estimate is modal or maximum a posteriori (MAP, ``"full-phase"``:
     the wavefront behind each exposure, static errors separated from the turbulence). An estimator can be used again and
-    again, and keeps its model, unless a file that the scene names changes. One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel` and :attr:`progress`; other
-    Python threads run during a call. It pickles as these parameters, and is built again where it is unpickled.
+    again, and keeps its model, unless a file that the scene names changes. One call at a time
+    (:class:`cophase.BusyError` otherwise), except :meth:`cancel` and :attr:`progress`; other Python threads run during
+    a call. It pickles as these parameters, and is built again where it is unpickled.
 
     Parameters
     ----------
