@@ -34,15 +34,15 @@ fn is_native(scene: &Scene, cube: Cube) -> bool {
     scene.estimate.sampling == Sampling::Auto && cube.has_bad()
 }
 
-/// The fitter for `cube` of a scene that fits no optical parameters.
+/// The fitter for `cube` of a scene that fits no optical parameters; `cache` goes on with the one that it keeps.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`].
 pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &ModelCache, cube: Cube) -> Result<ModalFitter> {
-    cache.fitter(scene, recipe, is_native(scene, cube))
+    ModalFitter::with_scene_basis(scene, recipe, is_native(scene, cube), cache.basis.clone())
 }
 
-/// The fitter for `cube` of `scene`, whose optical parameters are fitted first where it names some.
+/// The fitter for `cube` of `scene`, which `cache` keeps; optical parameters are fitted first where the scene names some.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`], and of the fit of the parameters.
@@ -54,7 +54,7 @@ pub(crate) fn fitter_of(
     cancel: Option<&CancelFlag>,
 ) -> Result<ModalFitter> {
     if scene.estimate.fit_optics.is_empty() {
-        fitter_for(scene, recipe, cache, cube)
+        cache.fitter(scene, recipe, is_native(scene, cube))
     } else {
         fit_optics::estimator(scene, &recipe, cube, is_native(scene, cube), cancel)
     }
@@ -75,7 +75,12 @@ pub fn estimate_with(
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(ModalFitter, ModalEstimate)> {
-    let fitter = fitter_of(scene, recipe, cache, cube, cancel)?;
+    let keeps_optics = scene.estimate.fit_optics.is_empty();
+    let fitter = if keeps_optics {
+        fitter_for(scene, recipe, cache, cube)
+    } else {
+        fitter_of(scene, recipe, cache, cube, cancel)
+    }?;
     let mut chain = open(&fitter)?;
     let estimate = fitter.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, cancel, watch)?;
     Ok((fitter, estimate))
