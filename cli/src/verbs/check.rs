@@ -1,13 +1,13 @@
 //! `cophase check`: scene and images before an estimate is believed.
 
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::{DOUBTFUL_STATUS, Terminal};
 use cophase::Result;
 use cophase::pipeline::{Check, Control, Finding, Images, Poke, check};
 use cophase::scene::Scene;
-use cophase_cli::plot::{CaptionedMap, MapScale, MapsPicture};
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::plot::{CaptionedMap, MapScale, MapsPicture};
+use cophase_view::terminal::{DOUBTFUL_STATUS, Terminal};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

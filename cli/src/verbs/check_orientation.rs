@@ -1,11 +1,11 @@
 //! `cophase check-orientation`: flips, rotation and sign of images from a known poke.
 
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::pipeline::{Control, Images, Orientation, OrientationCandidate, Poke, check_orientation};
 use cophase::scene::Scene;
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::terminal::Terminal;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -1,11 +1,11 @@
 //! `cophase compare`: an estimate against the truth.
 
-use crate::terminal::Terminal;
 use cophase::io::FitsReader;
 use cophase::pipeline::{Comparison, ForeignComparison, ForeignTruth, TruthMaps, read_pistons};
 use cophase::scene::Scene;
 use cophase::telescope::{OpdMap, SegmentPlace, Telescope};
 use cophase::{Error, Result};
+use cophase_view::terminal::Terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

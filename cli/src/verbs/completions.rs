@@ -1,9 +1,9 @@
 //! `cophase completions`: completion of the command line in a shell.
 
-use crate::terminal::Terminal;
 use clap::Command;
 use clap_complete::Shell;
 use cophase::{Error, Result};
+use cophase_view::terminal::Terminal;
 
 const EXAMPLES: &str = "Examples:
   cophase completions bash > ~/.local/share/bash-completion/completions/cophase

@@ -1,12 +1,12 @@
 //! `cophase demo`: the main job on a scene of our own, from nothing to a picture.
 
 use super::{estimate, image};
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::Terminal;
 use cophase::pipeline::Images;
 use cophase::scene::Scene;
 use cophase::{Error, Result};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::terminal::Terminal;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
@@ -25,7 +25,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
     /// Seed of the aberrations and of the noise
-    #[arg(long, default_value_t = 1, value_parser = crate::files::seed())]
+    #[arg(long, default_value_t = 1, value_parser = cophase_view::files::seed())]
     seed: u64,
     /// Print the result as JSON
     #[arg(long)]

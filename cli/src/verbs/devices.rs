@@ -1,8 +1,8 @@
 //! `cophase devices`: list of the devices that an estimate can run on.
 
-use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::device;
+use cophase_view::terminal::Terminal;
 use serde::Serialize;
 
 const EXAMPLES: &str = "Examples:
@@ -38,7 +38,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     }
     for Listed { device, name, units, f64 } in &devices {
         let precision = if *f64 { "f32 and f64" } else { "f32" };
-        let units = crate::terminal::counted(*units, if device == "cpu" { "thread" } else { "compute unit" });
+        let units = cophase_view::terminal::counted(*units, if device == "cpu" { "thread" } else { "compute unit" });
         terminal.print(&format!("{device:<12}  {name}, {units}, {precision}\n"))?;
     }
     match advice {

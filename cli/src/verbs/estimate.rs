@@ -12,10 +12,10 @@ pub use arguments::Arguments;
 pub use part::merge;
 pub use whole::{estimated, print, write};
 
-use crate::interrupt::Interrupt;
-use crate::ranks::Share;
-use crate::terminal::Terminal;
 use cophase::Result;
+use cophase_view::interrupt::Interrupt;
+use cophase_view::ranks::Share;
+use cophase_view::terminal::Terminal;
 use std::process::ExitCode;
 
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {

@@ -1,15 +1,15 @@
 //! `cophase image`: images of an artificial source, with the truth behind them.
 
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::outputs::{self, Flagged};
-use crate::terminal::Terminal;
 use cophase::machine;
 use cophase::pipeline::SentCorrections;
 use cophase::scene::Scene;
 use cophase::source;
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs::{self, Flagged};
+use cophase_view::terminal::Terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -37,7 +37,7 @@ pub struct Arguments {
     #[command(flatten)]
     settings: Settings,
     /// Seed of the aberrations and of the noise [default: aberrations.seed of the scene]
-    #[arg(long, value_parser = crate::files::seed())]
+    #[arg(long, value_parser = cophase_view::files::seed())]
     seed: Option<u64>,
     /// Print what was made as JSON
     #[arg(long)]
@@ -80,13 +80,15 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let Made { channels, images, rows, columns, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds, .. } = made;
     let each = match channels.as_slice() {
         [] => format!("of {columns}x{rows} pixels, {flux_e:.3e} electrons each"),
-        channels => format!("in {} ({})", crate::terminal::counted(channels.len(), "channel"), channels.join(", ")),
+        channels => {
+            format!("in {} ({})", cophase_view::terminal::counted(channels.len(), "channel"), channels.join(", "))
+        }
     };
     terminal.show(&format!(
         "{}: {} {each}, phasing {phasing_rms_nm:.2} nm and NCPA \
          {ncpa_rms_nm:.2} nm RMS, made in {seconds:.1} s\n",
         arguments.output.display(),
-        crate::terminal::counted(images, "image"),
+        cophase_view::terminal::counted(images, "image"),
     ))
 }
 
@@ -101,7 +103,8 @@ fn make(
     let started = Instant::now();
     check_memory(scene)?;
     let made = {
-        let _wait = terminal.wait(&format!("Making {}", crate::terminal::counted(scene.image.count, "image")), 1);
+        let _wait =
+            terminal.wait(&format!("Making {}", cophase_view::terminal::counted(scene.image.count, "image")), 1);
         source::simulate_channels_with(scene, &|truth, scene, telescope| {
             sent.iter().try_fold(truth, |truth, sent| sent.apply(truth, scene, telescope))
         })?
@@ -138,7 +141,8 @@ pub fn check_memory(scene: &Scene) -> Result<()> {
         channels => channels.iter().map(|channel| &channel.scene).collect(),
     };
     let bytes = scenes.into_iter().map(bytes).fold(0, u64::saturating_add);
-    let (images, (rows, columns)) = (crate::terminal::counted(scene.image.count, "image"), scene.image.frame_shape());
+    let (images, (rows, columns)) =
+        (cophase_view::terminal::counted(scene.image.count, "image"), scene.image.frame_shape());
     let each = if scene.channels().is_empty() { "" } else { " in each of its channels" };
     let what = format!("{}: {images} of {columns}x{rows} pixels{each}", scene.name());
     machine::check_memory(what, bytes, "lower image.count or image.pixels")

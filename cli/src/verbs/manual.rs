@@ -1,10 +1,10 @@
 //! `cophase manual`: the command line as manual pages, as JSON for the documentation, and as a parser of other command lines.
 
-use crate::outputs;
-use crate::terminal::Terminal;
 use clap::{Arg, ArgGroup, Command};
 use cophase::io::write_atomically;
 use cophase::{Error, Result};
+use cophase_view::outputs;
+use cophase_view::terminal::Terminal;
 use serde_json::{Value, json};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! `cophase merge`: the estimate of all parts.
 
 use super::estimate;
-use crate::terminal::Terminal;
 use cophase::Result;
+use cophase_view::terminal::Terminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
 

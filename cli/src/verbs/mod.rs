@@ -3,7 +3,6 @@
 //! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
 //! (stopped by Ctrl-C or SIGTERM, as shells count it).
 
-mod bench;
 mod check;
 mod check_orientation;
 mod compare;
@@ -20,15 +19,16 @@ mod observe;
 mod picture;
 mod plan;
 mod reduce;
-mod reproduce;
 mod scene;
 mod simulate;
+#[cfg(not(feature = "watch"))]
 mod watch;
 
-use crate::interrupt;
-use crate::terminal::{self, Terminal};
 use clap::{CommandFactory, Parser, Subcommand};
-use cophase::{Error, Result};
+use cophase::Result;
+use cophase_view::terminal::Terminal;
+#[cfg(feature = "watch")]
+use cophase_watch::arguments as watch;
 use std::process::ExitCode;
 
 const ABOUT: &str = "Reads defocused images of a star; says what the mirror segments, and what the optics behind the \
@@ -72,8 +72,6 @@ enum Verb {
     Devices(devices::Arguments),
     Demo(demo::Arguments),
     Watch(Box<watch::Arguments>),
-    Reproduce(reproduce::Arguments),
-    Bench(bench::Arguments),
     Completions(completions::Arguments),
     Manual(manual::Arguments),
 }
@@ -83,7 +81,6 @@ enum Verb {
 /// # Errors
 /// Those of the verb.
 pub fn run(cli: Cli) -> Result<ExitCode> {
-    interrupt::prepare_process()?;
     let terminal = Terminal::new(cli.quiet);
     match cli.verb {
         Verb::Scene(arguments) => scene::run(&arguments, &terminal),
@@ -99,19 +96,8 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
         Verb::Watch(arguments) => watch::run(&arguments, &terminal),
-        Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
-        Verb::Bench(arguments) => bench::run(&arguments, &terminal),
         Verb::Completions(arguments) => completions::run(&arguments, Cli::command(), &terminal),
         Verb::Manual(arguments) => return manual::run(&arguments, Cli::command(), &terminal),
     }?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// Says why, on one line, and gives the exit status.
-pub fn fail(error: &Error) -> ExitCode {
-    terminal::complain(&error.to_string());
-    match error {
-        Error::Interrupted(_) => ExitCode::from(interrupt::EXIT_STATUS),
-        _ => ExitCode::FAILURE,
-    }
 }

@@ -1,9 +1,9 @@
 //! Corrections as a picture: what would move.
 
-use crate::terminal::counted;
 use cophase::pipeline::{Commands, Corrections, Estimate};
 use cophase::{Result, ao};
-use cophase_cli::plot::{CaptionedMap, MapScale, MapsPicture};
+use cophase_view::plot::{CaptionedMap, MapScale, MapsPicture};
+use cophase_view::terminal::counted;
 use ndarray::{Array1, Array2};
 use std::path::Path;
 

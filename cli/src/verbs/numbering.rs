@@ -1,13 +1,13 @@
 //! Segments, actuators and subapertures of a scene as a picture.
 
-use crate::terminal::{Terminal, counted};
 use cophase::ao::{self, Lenslets};
 use cophase::modes::InfluenceFunctions;
 use cophase::pupil::{Grid, Pupil};
 use cophase::scene::{Aperture, Scene, SensorScene};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result, machine};
-use cophase_cli::plot::{Lattice, NumberingPicture};
+use cophase_view::plot::{Lattice, NumberingPicture};
+use cophase_view::terminal::{Terminal, counted};
 use ndarray::Array2;
 
 /// Samples along a side on which hexagons are drawn: about the pixels of the picture.

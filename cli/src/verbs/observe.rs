@@ -1,10 +1,10 @@
 //! `cophase plan --observe`: which defocuses, wavelengths and exposures reach an error.
 
-use crate::interrupt::Interrupt;
-use crate::terminal::{Terminal, counted};
 use cophase::Result;
 use cophase::pipeline::{Observation, ObservationPlan, plan_observation};
 use cophase::scene::Scene;
+use cophase_view::interrupt::Interrupt;
+use cophase_view::terminal::{Terminal, counted};
 use serde::Serialize;
 use std::path::Path;
 

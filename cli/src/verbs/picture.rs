@@ -1,11 +1,11 @@
 //! An estimate as a picture.
 
-use crate::terminal::counted;
 use cophase::Result;
 use cophase::modal::Model;
 use cophase::modes::Group;
 use cophase::pipeline::{Comparison, Estimate, Figure, ImageStatus, TruthMaps};
-use cophase_cli::plot::{EstimatePicture, ImageTriple, MapRms, MapTriple, ModalBars, ModeGroup};
+use cophase_view::plot::{EstimatePicture, ImageTriple, MapRms, MapTriple, ModalBars, ModeGroup};
+use cophase_view::terminal::counted;
 use ndarray::Array2;
 
 /// The picture of `estimate`, made from the file `name`.

@@ -1,13 +1,13 @@
 //! `cophase plan`: which model a scene needs for a budget, or which observation.
 
 use super::observe;
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::Terminal;
 use cophase::planner::{self, Choice, Omission, Plan, Price};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::terminal::Terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

@@ -1,15 +1,15 @@
 //! `cophase reduce`: raw frames of a detector to the images that `estimate` takes.
 
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::{Terminal, counted};
 use cophase::io::{self, FitsReader};
 use cophase::reduction::{
     ChannelRule, Frame, FrameClass, LogRow, Pattern, Reduction, ReductionOptions, list_files, read_frames, reduce,
 };
 use cophase::scene::Scene;
 use cophase::{Error, Result};
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::terminal::{Terminal, counted};
 use ndarray::Array2;
 use serde::Serialize;
 use std::path::{Path, PathBuf};

@@ -1,13 +1,13 @@
 //! `cophase scene`: the documented scenes, and the numbering of a scene's segments.
 
 use super::numbering;
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::Terminal;
 use cophase::reduction::first_scene;
 use cophase::scene::{self, Scene};
 use cophase::{Error, Result};
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::terminal::Terminal;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:

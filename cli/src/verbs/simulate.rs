@@ -1,14 +1,14 @@
 //! `cophase simulate`: an AO loop under a sky, its images, the truth, the telemetry.
 
-use crate::files::{self, Settings};
-use crate::interrupt::Interrupt;
-use crate::outputs::{self, Flagged};
-use crate::ranks::{Rank, Share};
-use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
 use cophase::pipeline::{Part, SentCorrections};
 use cophase::scene::Scene;
+use cophase_view::files::{self, Settings};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs::{self, Flagged};
+use cophase_view::ranks::{Rank, Share};
+use cophase_view::terminal::Terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -43,7 +43,7 @@ pub struct Arguments {
     #[command(flatten)]
     settings: Settings,
     /// Seed of the aberrations, the turbulence and the noise [default: those of the scene]
-    #[arg(long, value_parser = crate::files::seed())]
+    #[arg(long, value_parser = cophase_view::files::seed())]
     seed: Option<u64>,
     /// Make N runs with the seeds from --seed (else 1) on, each a file with its seed in its name: night-1.fits, night-2.fits, ...
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with = "aot")]
@@ -155,7 +155,7 @@ fn one(
         "{}: {} {} from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
          residual {:.1} nm RMS, Strehl {:.3} at {} nm (by Marechal {:.3}); {}\n",
         output.display(),
-        crate::terminal::counted(summary.images, "image"),
+        cophase_view::terminal::counted(summary.images, "image"),
         sizes(&scene, &shots),
         summary.frames,
         summary.seconds,
@@ -209,7 +209,7 @@ fn sizes(scene: &Scene, shots: &[Shot]) -> String {
     let each = scene.channels().iter().zip(channel_images(scene, shots));
     let each: Vec<String> =
         each.map(|(channel, images)| format!("{}: {images} {}", channel.name, size(&channel.scene))).collect();
-    format!("in {} ({})", crate::terminal::counted(each.len(), "channel"), each.join(", "))
+    format!("in {} ({})", cophase_view::terminal::counted(each.len(), "channel"), each.join(", "))
 }
 
 /// Number of images of each channel; empty for a scene without channels.

@@ -1,10 +1,10 @@
 //! The command line of an estimate.
 
-use crate::files::Settings;
-use crate::outputs::{self, Flagged};
-use crate::ranks::Share;
 use cophase::Result;
 use cophase::scene::{DeviceChoice, Scene};
+use cophase_view::files::Settings;
+use cophase_view::outputs::{self, Flagged};
+use cophase_view::ranks::Share;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:

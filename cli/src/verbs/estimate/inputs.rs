@@ -1,10 +1,10 @@
 //! What an estimate reads: images of one file or of several, slopes, the scene.
 
 use super::arguments::{Arguments, GAIN};
-use crate::outputs::Flagged;
 use cophase::pipeline::{Images, Trust};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
+use cophase_view::outputs::Flagged;
 
 impl Arguments {
     /// The scene, and the images of each channel with their slopes.

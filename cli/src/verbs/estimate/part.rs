@@ -2,13 +2,13 @@
 
 use super::arguments::Arguments;
 use super::whole::{Work, whole};
-use crate::files;
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::{Terminal, Wait, counted};
 use clap::Parser;
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
+use cophase_view::files;
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::terminal::{Terminal, Wait, counted};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 

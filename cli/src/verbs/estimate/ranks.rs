@@ -6,11 +6,11 @@
 use super::arguments::Arguments;
 use super::part;
 use super::whole::{Work, conclude, whole};
-use crate::interrupt::Interrupt;
-use crate::ranks::{Heartbeat, LOOK, Rank, RankMonitor};
-use crate::terminal::{Terminal, Wait};
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
+use cophase_view::interrupt::Interrupt;
+use cophase_view::ranks::{Heartbeat, LOOK, Rank, RankMonitor};
+use cophase_view::terminal::{Terminal, Wait};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 

@@ -1,11 +1,11 @@
 //! The report of an estimate as one HTML file.
 
-use crate::html::{self, Colours, SegmentValue};
-use crate::terminal::counted;
 use cophase::Result;
 use cophase::io::write_atomically;
 use cophase::modal::FittedImage;
 use cophase::pipeline::{Estimate, Figure, ImageStatus};
+use cophase_view::html::{self, Colours, SegmentValue};
+use cophase_view::terminal::counted;
 use std::path::Path;
 
 /// Motions of a segment that are modes.

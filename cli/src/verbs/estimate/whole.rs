@@ -3,14 +3,14 @@
 use super::arguments::Arguments;
 use super::report;
 use super::summary::Summary;
-use crate::files;
-use crate::interrupt::Interrupt;
-use crate::outputs;
-use crate::terminal::{DOUBTFUL_STATUS, Terminal, Wait, counted};
 use crate::verbs::{moves, picture};
 use cophase::Result;
 use cophase::pipeline::{Control, Corrections, Estimate, Estimator, FittedPart, Images, Policy};
 use cophase::scene::Scene;
+use cophase_view::files;
+use cophase_view::interrupt::Interrupt;
+use cophase_view::outputs;
+use cophase_view::terminal::{DOUBTFUL_STATUS, Terminal, Wait, counted};
 use std::path::Path;
 use std::process::ExitCode;
 

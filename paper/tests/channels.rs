@@ -1,0 +1,19 @@
+//! Two colours of a faint star whose pistons are beyond half a wave.
+
+use cophase_paper::reproduce::{ChannelRow, Progress, channels};
+
+/// In five of these draws the first fit of one colour ends in a wrong minimum with a χ² of 1.1. The χ² of the difference of the two
+/// colours shows it, and a second fit from the result of the other colour ends in the right minimum.
+#[test]
+fn colours_that_contradict_each_other_are_fitted_again() {
+    let rows = ChannelRow::named(&["S/N 30".into()]).unwrap();
+    let table = channels(&rows, 8, &Progress::new(&|_, _| {}, None)).unwrap();
+    let [(_, draws)] = table.0.as_slice() else { panic!("one row was tried") };
+    let wrong: usize = draws.iter().flat_map(|draw| &draw.integers).filter(|(_, is_right)| !is_right).count();
+    assert_eq!((draws.len(), wrong), (8, 0));
+    for draw in draws {
+        assert!(!draw.is_flagged, "{draw:?}");
+        // The RMS of 36 pistons, or of 66 modes, exceeds twice its expectation in none of a million draws.
+        assert!((0..2).all(|part| draw.residual_nm[part] < 2.0 * draw.sigma_nm[part]), "{draw:?}");
+    }
+}
