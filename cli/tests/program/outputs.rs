@@ -19,7 +19,6 @@ fn two_outputs_of_one_name_are_refused_with_both_flags() {
         let arguments = [&["estimate", "images.fits", "--method", "full-phase"], also, &flags].concat();
         desk.refuses(&arguments, &words);
     }
-    desk.refuses(&["bench", "--csv", "b.png", "--picture", "b.png"], &["b.png", "--csv", "--picture"]);
 }
 
 #[test]
@@ -33,7 +32,6 @@ fn an_output_that_is_an_input_is_refused() {
         &["scene.toml", "read by this command", "--scene"],
     );
     desk.refuses(&["plan", "scene.toml", "--budget-nm", "5", "-o", "scene.toml"], &["read by this command"]);
-    desk.refuses(&["bench", "scene.toml", "--csv", "scene.toml"], &["read by this command", "--csv"]);
     desk.refuses(&["estimate", "images.fits[IMAGES]", "-o", "images.fits"], &["images.fits", "read by this command"]);
     desk.succeeds(&["estimate", "images.fits[IMAGES]", "-o", "est.fits"]);
     desk.succeeds(&["estimate", "images.fits[1]", "-o", "est.fits"]);
@@ -109,8 +107,6 @@ fn outputs_are_files_and_not_standard_output() {
         &["simulate", "scene.toml", "-o", "-"],
         &["plan", "scene.toml", "--budget-nm", "5", "-o", "-"],
         &["demo", "-o", "-"],
-        &["reproduce", "table", "-o", "-"],
-        &["bench", "--csv", "-"],
     ] {
         desk.refuses(arguments, &["standard output", "./-"]);
     }

@@ -94,47 +94,6 @@ fn few_images_channels_and_larger_models_have_parts_too() {
     are_the_same(&desk.path("whole.fits"), &desk.path("merged.fits"));
 }
 
-/// Rows of a CSV table without their last column, the measured time.
-fn without_times(path: &Path) -> Vec<String> {
-    let text = std::fs::read_to_string(path).unwrap();
-    text.lines().map(|line| line.rsplit_once(',').unwrap().0.to_owned()).collect()
-}
-
-#[test]
-fn parts_of_a_table_make_that_of_one_run() {
-    let desk = Desk::with_scene();
-    let reproduce = |folder: &str, part: &[&str]| {
-        let row = ["reproduce", "pulls", "--row", "Noll 18, 1 images, S/N 100", "--seeds", "3", "-o", folder];
-        desk.succeeds(&[&row[..], part].concat()).out
-    };
-    reproduce("whole", &[]);
-    for part in ["2/2", "1/2"] {
-        let said = reproduce("parts", &["--part", part]);
-        assert!(said.starts_with(&format!("part {part} of pulls")) && said.contains(".draws"), "{said}");
-        assert!(!desk.path("parts/pulls.csv").exists());
-    }
-    let kept = |number: usize| desk.path(&format!("parts/pulls.part-{number}-of-2.draws"));
-    let lines = |number: usize| std::fs::read_to_string(kept(number)).unwrap().lines().count();
-    assert_eq!(lines(1) + lines(2), 2 + 3, "a head each, and each draw once");
-    // Times that no draw takes: the table has the draws of the parts, and makes none again.
-    for number in [1, 2] {
-        let text = std::fs::read_to_string(kept(number)).unwrap();
-        let line = |line: &str| {
-            let mut cells: Vec<&str> = line.split('\t').collect();
-            if cells.len() == 8 {
-                cells[6] = "4e6";
-            }
-            cells.join("\t") + "\n"
-        };
-        std::fs::write(kept(number), text.lines().map(line).collect::<String>()).unwrap();
-    }
-    assert!(reproduce("parts", &[]).contains("4000000.00"));
-    assert_eq!(without_times(&desk.path("parts/pulls.csv")), without_times(&desk.path("whole/pulls.csv")));
-    // Draws of other options are refused.
-    let other = ["reproduce", "pulls", "--quick", "-o", "parts"];
-    desk.refuses(&other, &["pulls.part-1-of-2.draws", "--quick", "remove it"]);
-}
-
 /// What a script of a job array prints as task `task` of three, as Slurm starts it.
 fn slurm_task(desk: &Desk, script: &str, arguments: &[&str], task: &str) -> Done {
     let program = Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap();

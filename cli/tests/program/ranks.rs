@@ -8,24 +8,6 @@ use crate::{Desk, Done};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// `mpirun -n RANKS sh -c SCRIPT` at the desk, where `$COPHASE` is the program and `$RANK` the number of the process; `None` where
-/// there is no mpirun.
-fn mpirun(desk: &Desk, ranks: usize, script: &str) -> Option<Command> {
-    let is_here = Command::new("mpirun").arg("--version").output().is_ok_and(|output| output.status.success());
-    if !is_here {
-        let is_required = std::env::var_os("COPHASE_REQUIRE_MPI").is_some_and(|value| value == "1");
-        assert!(!is_required, "mpirun is missing: install openmpi-bin");
-        eprintln!("skipped: there is no mpirun (openmpi-bin)");
-        return None;
-    }
-    let mut command = Command::new("mpirun");
-    // As root in a container; more processes than cores.
-    command.args(["--allow-run-as-root", "--oversubscribe", "-n", &ranks.to_string(), "sh", "-c"]);
-    command.arg(format!("RANK=$OMPI_COMM_WORLD_RANK; {script}")).current_dir(desk.path(""));
-    command.env("COPHASE", env!("CARGO_BIN_EXE_cophase")).env("RAYON_NUM_THREADS", "1");
-    Some(command)
-}
-
 const ESTIMATE: &str = "$COPHASE estimate images.fits -o est.fits --part rank --json";
 
 fn run(mut command: Command) -> Done {
@@ -37,7 +19,7 @@ fn any_number_of_ranks_makes_the_file_of_one_run() {
     let desk = sequence();
     desk.succeeds(&["estimate", "images.fits", "-o", "whole.fits"]);
     for ranks in [1, 2, 4] {
-        let Some(command) = mpirun(&desk, ranks, &format!("exec {ESTIMATE}")) else { return };
+        let Some(command) = desk.mpirun(ranks, &format!("exec {ESTIMATE}")) else { return };
         let done = run(command);
         assert_eq!(done.status, 0, "{}", done.err);
         // One rank prints, and one result.
@@ -47,32 +29,6 @@ fn any_number_of_ranks_makes_the_file_of_one_run() {
         assert_eq!(desk.files(), ["est.fits", "images.fits", "scene.toml", "whole.fits"]);
         std::fs::remove_file(desk.path("est.fits")).unwrap();
     }
-}
-
-/// Draws that are there are not made again, so that only the sharing is left to see.
-#[test]
-fn ranks_share_the_draws_of_a_table() {
-    let desk = Desk::with_scene();
-    std::fs::create_dir(desk.path("results")).unwrap();
-    let line = |seed: usize| format!("75 images,{seed},{}\n", vec![format!("{seed}.2500"); 14].join(","));
-    std::fs::write(desk.path("results/beyond-draws.csv"), format!("head\n{}", line(2))).unwrap();
-    std::fs::write(desk.path("results/beyond-draws.part-2-of-9.csv"), format!("head\n{}{}", line(1), line(3))).unwrap();
-    let reproduce = "reproduce beyond --row '75 images' --seeds 3 -o";
-    let whole = desk.succeeds(&["reproduce", "beyond", "--row", "75 images", "--seeds", "3", "-o", "results"]);
-    let table = std::fs::read(desk.path("results/beyond.csv")).unwrap();
-    std::fs::remove_file(desk.path("results/beyond.csv")).unwrap();
-    let part =
-        desk.succeeds(&["reproduce", "beyond", "--row", "75 images", "--seeds", "3", "-o", "results", "--part", "1/2"]);
-    assert!(part.out.starts_with("part 1/2 of beyond: 2 draws are there"), "{}", part.out);
-    assert!(!desk.path("results/beyond.csv").exists());
-    desk.refuses(&["reproduce", "leak", "-o", "other", "--part", "1/2"], &["part 1/2 of leak", "one process"]);
-    let Some(command) = mpirun(&desk, 2, &format!("exec $COPHASE {reproduce} results --part rank")) else { return };
-    let done = run(command);
-    assert_eq!((done.status, &done.out), (0, &whole.out), "{}", done.err);
-    assert_eq!(std::fs::read(desk.path("results/beyond.csv")).unwrap(), table);
-    let left = std::fs::read_dir(desk.path("results")).unwrap();
-    let signs = left.filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().starts_with("rank-"));
-    assert_eq!(signs.count(), 0);
 }
 
 /// A job that ends with a nonzero status and the words, without an estimate and without temporary files.
@@ -92,20 +48,20 @@ fn a_rank_that_dies_or_fails_ends_the_job_and_the_next_one_goes_on() {
     // Killed when the other has written its part.
     let killed =
         "if [ $RANK = 1 ]; then while ! [ -e est.fits.parts/part-1-of-2.fits ]; do sleep 0.1; done; kill -9 $$; fi";
-    let Some(command) = mpirun(&desk, 2, &format!("{killed}; exec {ESTIMATE}")) else { return };
+    let Some(command) = desk.mpirun(2, &format!("{killed}; exec {ESTIMATE}")) else { return };
     fails(&desk, command, &["signal 9"]);
     let written = std::fs::metadata(&first_part).unwrap().modified().unwrap();
     // The scene is not where this rank runs.
     let elsewhere = "if [ $RANK = 1 ]; then SCENE=absent.toml; else SCENE=scene.toml; fi; exec";
-    let command = mpirun(&desk, 2, &format!("{elsewhere} {ESTIMATE} --scene $SCENE")).unwrap();
+    let command = desk.mpirun(2, &format!("{elsewhere} {ESTIMATE} --scene $SCENE")).unwrap();
     fails(&desk, command, &["rank 1 of 2: absent.toml", "there is no such scene"]);
     // The disk of the first rank is full: no file may be larger than 16 blocks.
-    let command = mpirun(&desk, 2, &format!("if [ $RANK = 0 ]; then ulimit -f 16; fi; exec {ESTIMATE}")).unwrap();
+    let command = desk.mpirun(2, &format!("if [ $RANK = 0 ]; then ulimit -f 16; fi; exec {ESTIMATE}")).unwrap();
     fails(&desk, command, &["rank 0 of 2", "File too large", "no partial file is left"]);
     assert!(std::fs::metadata(&first_part).unwrap().modified().unwrap() >= written, "what was there stays");
     // Another number of ranks takes the fits that are there.
     desk.succeeds(&["estimate", "images.fits", "-o", "whole.fits"]);
-    assert_eq!(run(mpirun(&desk, 4, &format!("exec {ESTIMATE}")).unwrap()).status, 0);
+    assert_eq!(run(desk.mpirun(4, &format!("exec {ESTIMATE}")).unwrap()).status, 0);
     are_the_same(&desk.path("whole.fits"), &desk.path("est.fits"));
     assert!(!desk.path("est.fits.parts").exists());
 }

@@ -27,7 +27,6 @@ fn a_file_that_the_scene_names_is_missed_by_every_verb() {
         &["estimate", "images.fits", "-o", "est.fits"],
         &["estimate", "images.fits", "--scene", "scene.toml", "-o", "est.fits"],
         &["plan", "scene.toml", "--budget-nm", "5"],
-        &["bench", "scene.toml"],
     ] {
         desk.refuses(&[verb, &missing[..]].concat(), &["actuatros.txt", "no such file", "mirror.actuator_file"]);
     }

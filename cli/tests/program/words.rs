@@ -10,10 +10,10 @@ use std::process::{Command, Stdio};
 /// tenth of a second and 1 GB, for OpenCL and every thread's stack reserve addresses.
 const LIMITS: &str = "ulimit -t 60; ulimit -v 16000000; exec \"$@\"";
 
-/// Verbs that return at once or work on the images here. `simulate`, `plan`, `reproduce`, `bench` and `demo` work for
+/// Verbs that return at once or work on the images here. `simulate`, `plan` and `demo` work for
 /// minutes on what they accept, so they get a word that they do not.
 const VERBS: [&str; 6] = ["scene", "image", "estimate", "compare", "devices", ""];
-const LONG: [&str; 5] = ["simulate", "plan", "reproduce", "bench", "demo"];
+const LONG: [&str; 3] = ["simulate", "plan", "demo"];
 
 const WORDS: [&str; 40] = [
     "-o",

@@ -1,4 +1,4 @@
-//! Speed against error: what is written, and that every variant finds what the f64 CPU chain finds. No time is asserted.
+//! `cophase-paper bench`: speed against error: what is written, and that every variant finds what the f64 CPU chain finds. No time is asserted.
 
 use crate::{Desk, number};
 use serde_json::Value;

@@ -1,0 +1,5 @@
+//! The pictures, drawn and read back.
+
+mod numbering;
+mod plot;
+mod ticks;
