@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_between_estimate_and_truth_does_not_count_as_residual() {
+    fn plane_between_estimate_and_truth_is_not_a_residual() {
         let (pupil, maps) = (pupil(), maps());
         let [plane, wave] = [0, 1].map(|mode| maps.index_axis(Axis(0), mode).to_owned());
         // The maps are of the order of 20 nm: rounding leaves about 1e-15 of that.

@@ -186,7 +186,7 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
 }
 
 #[test]
-fn a_batch_in_lock_step_gives_bitwise_the_results_of_single_runs() {
+fn batch_in_lock_step_has_the_bits_of_single_runs() {
     let toys: Vec<_> = (0..6).map(|seed| Retrieval::new(0.9, seed)).collect();
     let metric = whitened(&toys[0].gauss_newton());
     let alone: Vec<_> = toys.iter().map(|toy| retrieve(toy, metric.clone(), chi2_settings())).collect();
@@ -251,7 +251,7 @@ fn a_scale_replaces_a_scaled_metric() {
 }
 
 #[test]
-fn the_deadline_ends_a_run_with_the_best_point_and_prevents_a_restart() {
+fn deadline_ends_a_run_at_the_best_point_without_a_restart() {
     let toy = Retrieval::new(0.9, 1);
     let metric = whitened(&toy.gauss_newton());
     let start = vec![0.0; toy.len()];

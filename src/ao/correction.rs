@@ -101,7 +101,7 @@ mod tests {
     use crate::scene::Scene;
 
     #[test]
-    fn the_optical_gains_of_a_loop_are_those_of_a_push_and_pull_about_its_residual() {
+    fn optical_gains_equal_push_pull_gains_about_the_residual() {
         let small = [
             ("wavefront_sensor.pixels_across", "20"),
             ("wavefront_sensor.modulation_lambda_over_d", "3.0"),

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_that_does_not_converge_counts_as_diverged_only_with_unstable_poles() {
+    fn unconverged_loop_is_diverged_only_with_unstable_poles() {
         let mut open = monitor(0.7);
         assert!((0..5000).all(|_| open.update(2000.0).is_none()));
         let mut unstable = monitor(1.01);

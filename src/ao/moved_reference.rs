@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mirror_takes_the_shape_whose_slopes_were_sent_and_the_camera_sees_it() {
+    fn mirror_takes_the_sent_shape_and_the_camera_images_it() {
         // Steps between segments would lower the gain of the quad cells that see them, by some 5 % in all.
         let even = ["aberrations.segment_piston_rms_nm", "aberrations.segment_tip_tilt_rms_nm"].map(|key| (key, "0"));
         let settings = [&UNDISTURBED_LOOP[..], &even].concat();

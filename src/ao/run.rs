@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn simultaneous_channels_image_the_same_wavefronts_with_other_noise() {
+    fn simultaneous_channels_share_wavefronts_but_not_noise() {
         let both = ("image.simultaneous", "true");
         for is_quiet in [true, false] {
             let noise = if is_quiet { QUIET.as_slice() } else { &QUIET[2..] };

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn simultaneous_channels_share_their_exposures_and_must_agree_on_them() {
+    fn simultaneous_channels_need_equal_exposures() {
         let scene = small("name = \"a\"\n[[image.channel]]\nname = \"b\"\n", &[("image.simultaneous", "true")]);
         let scene = scene.with_override("image.count", "2").unwrap();
         let schedule = Schedule::new(&scene, 0.02, 1000.0).unwrap();

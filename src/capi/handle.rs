@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn readers_share_and_a_change_is_alone() {
+    fn readers_share_a_handle_and_writers_exclude() {
         let handle = Handle::new(1);
         let nested = |outer_changes: bool, inner_changes: bool| {
             let mut inner = COPHASE_OK;

@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn every_element_type_is_read_where_the_strides_say() {
+    fn every_element_type_is_read_with_its_strides() {
         let plain: Vec<f64> = (0..24).map(f64::from).collect();
         let c_order = ndarray::Array3::from_shape_vec((2, 3, 4), plain.clone()).unwrap();
         let read = |input: cophase_input| unsafe { Input::new(&input, "frames") }.unwrap().cube().unwrap();
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_refused() {
+    fn invalid_arrays_are_refused() {
         let memory = [0.0f64; 24];
         let good = array(&memory, COPHASE_F64, 0, [12, 4, 1]);
         let refused = |input: cophase_input| match unsafe { Input::new(&input, "frames") } {

@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn outcomes_are_said_and_an_unknown_one_is_no_refusal() {
+    fn outcomes_are_reported_and_unknown_ones_are_no_refusal() {
         assert_eq!(sentence(LOADED, LIMIT), None);
         assert_eq!(sentence(1, LIMIT), None);
         assert!(sentence(HANGS, LIMIT).unwrap().contains("20 s"));

@@ -132,7 +132,7 @@ fn a_failed_call_is_named_with_its_status_in_one_line() {
 
 /// OpenCL has no vector of five numbers, so the vector type of the kernels does not exist.
 #[test]
-fn kernels_that_do_not_compile_are_refused_with_the_compilers_message() {
+fn invalid_kernels_are_refused_with_the_compilers_message() {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let build = Build { precision: Precision::F32, vector: 5, fft: None };

@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_transfer_function_is_the_mean_of_a_wave_over_the_response() {
+    fn transfer_function_is_the_mean_of_a_wave_over_the_response() {
         let response = PixelResponse { width_pixels: 0.8, diffusion_pixels: 0.3 };
         let f = 0.21;
         // ∫ cos(2πfx) over the square and the Gaussian, by the midpoint rule on 2,000 × 2,000 points of ±6 standard deviations,

@@ -173,7 +173,7 @@ fn fitted_photometry_minimises_the_objective() {
 }
 
 #[test]
-fn single_precision_agrees_and_results_do_not_depend_on_the_batch() {
+fn single_precision_agrees_and_batches_have_equal_bits() {
     let optics = optics(12, 16, 2.0);
     let (mut wide, mut narrow) = (CpuChain::<f64>::new(optics.clone()), CpuChain::<f32>::new(optics.clone()));
     wide.load(&exposures(16)).unwrap();

@@ -69,7 +69,7 @@ mod tests {
 
     /// A loop of six modes and ten slopes, at rest about reference slopes with each of many draws of the gains.
     #[test]
-    fn a_loop_that_follows_its_gains_is_where_the_second_order_says() {
+    fn gain_loss_agrees_with_the_second_order_formula() {
         let (modes, slopes, draws) = (6, 10, 4000);
         let mut rng = stream(6, 0);
         let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };

@@ -64,7 +64,7 @@ mod tests {
     use ndarray::Array1;
 
     #[test]
-    fn a_shape_of_the_mirror_is_taken_up_and_a_fit_leaves_nothing_that_it_could_take() {
+    fn mirror_fit_is_nearly_a_projection_on_mirror_shapes() {
         let simulator = Simulator::new(&scene()).unwrap();
         let pupil = &simulator.telescope().pupil;
         let (samples, influence) = (Samples::from_pupil(pupil).unwrap(), simulator.influence());

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn modes_are_recovered_within_their_error_bars_and_unmeasured_ones_stay_unknown() {
+    fn measured_modes_are_within_error_bars_and_others_unknown() {
         let response = SensorResponse::new(slopes_mas_per_nm());
         let slopes = response
             .information(differences(40, [12.0, -7.0, 3.0], 1.0, 0.0).view(), still(40).view(), &[0.0; 3])
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_share_of_the_turbulence_is_found_and_adds_nothing_to_the_scatter() {
+    fn fraction_of_turbulence_is_found_and_adds_no_scatter() {
         let mut rng = crate::source::stream(9, 7);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let turbulence_nm = Array2::from_shape_simple_fn((40, 3), || 50.0 * normal());
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn an_uncertainty_along_a_shape_adds_to_the_covariance_and_leaves_the_estimate() {
+    fn shape_uncertainty_adds_to_the_covariance_not_the_estimate() {
         let response = SensorResponse::new(slopes_mas_per_nm());
         let slopes = response
             .information(differences(40, [12.0, -7.0, 3.0], 1.0, 0.0).view(), still(40).view(), &[0.0; 3])

@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_number_of_wavelengths_comes_from_the_scene_or_from_its_filter() {
+    fn number_of_wavelengths_comes_from_the_scene_or_its_filter() {
         let with = |settings: &[(&str, &str)]| {
             let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
             let telescope = Telescope::new(&scene).unwrap();

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn precise_pistons_have_their_integers_far_beyond_the_synthetic_wavelength() {
+    fn precise_pistons_have_integers_beyond_synthetic_wavelength() {
         // Within ±30 µm of each other, 4·1640 and 3·2168.6 nm are the closest, 54 nm apart: 11 standard deviations of 3·√2 nm.
         assert_eq!(draws(15_000.0, 3.0, 0.0, 20), (20 * SEGMENTS, 0, 0));
         // Within ±3 µm about the mean nothing is closer than 529 nm: its half is 4.7 standard deviations of 40·√2 nm.

@@ -188,7 +188,7 @@ mod tests {
     use ndarray::Array2;
 
     #[test]
-    fn a_hash_tells_texts_numbers_and_bad_pixels_apart() {
+    fn hash_differs_for_other_texts_numbers_and_bad_pixels() {
         let data_e = Array2::from_shape_fn((3, 4), |(y, x)| (y * 4 + x) as f64);
         let clean = Array2::from_elem((3, 4), false);
         let mut marked = clean.clone();

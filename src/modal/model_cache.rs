@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fitter_is_built_again_only_for_another_scene_recipe_or_sampling() {
+    fn fitter_is_rebuilt_only_for_another_scene_recipe_or_sampling() {
         let small =
             [("pupil.samples", "64"), ("image.pixels", "64"), ("modes.ncpa", "zernike"), ("modes.ncpa_count", "5")];
         let scene = Scene::preset("keck-artificial").unwrap().with(&small).unwrap();

@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn coefficients_within_their_error_bars_shrink_with_those_they_are_correlated_with() {
+    fn insignificant_coefficients_shrink_with_correlated_ones() {
         let covariance_nm2 = array![[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let given = CombinedModes { coefficients_nm: vec![0.09, 0.1, 0.1], covariance_nm2 };
         let found = prior().posterior(&given).unwrap();

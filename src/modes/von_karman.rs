@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_spectrum_integrates_to_the_variance_and_transforms_into_the_covariance() {
+    fn spectrum_integral_is_the_variance_and_transform_covariance() {
         let turbulence = VonKarman::new(0.16, 50.0).unwrap();
         // ∫ 2πf W(f) df with f = e^u/L0: smooth and decaying on both sides, so the trapezoidal rule converges fast. The
         // cut at u = 25 leaves (e^−25)^(5/3).

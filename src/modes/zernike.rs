@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn low_orders_are_the_textbook_polynomials_inside_and_outside_the_disc() {
+    fn low_orders_are_the_textbook_polynomials_in_and_off_the_disc() {
         for (x, y) in [(0.3f64, -0.4f64), (0.0, 0.0), (-0.9, 0.8)] {
             let r2: f64 = x * x + y * y;
             let expected = [

@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn pairs_of_negative_curvature_are_not_stored_and_old_pairs_are_replaced() {
+    fn pairs_of_negative_curvature_are_skipped_and_old_replaced() {
         let mut pairs = Pairs::new(1, 2);
         pairs.push(1.0, &[1.0], &[0.0], &[-1.0]);
         assert!(pairs.is_empty());

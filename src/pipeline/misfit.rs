@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_residual_shows_is_named_and_nothing_else() {
+    fn misfit_causes_are_named_without_false_alarms() {
         let one = |y, x| spot(y, x, (16.0, 16.0));
         assert_eq!(cause(one), None);
         assert_eq!(cause(|y, x| 1.1 * one(y, x)), None);

@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn larger_models_are_tried_only_where_smaller_ones_promise_something() {
+    fn larger_models_are_tried_only_where_smaller_ones_gain() {
         let tilted = |scene: &Scene| scene.modes.segment == SegmentModes::PistonTipTilt;
         let (made, best) = tried(|scene| Some(if tilted(scene) { 1.01 } else { 90.0 }));
         assert_eq!((made.len(), best.unwrap().as_str()), (1, "tip and tilt of each segment"));
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_that_gain_nothing_are_not_bought() {
+    fn parameters_without_a_gain_are_not_added() {
         let trial = |reduced_chi2, parameters, extension| Trial {
             extensions: vec![extension],
             scene: Scene::preset("keck-artificial").unwrap(),

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_class_is_that_of_the_first_card_that_says_one() {
+    fn class_comes_from_the_first_card_that_names_one() {
         let class = |cards: &[(&str, &str)]| {
             classify(|key| cards.iter().find(|(known, _)| *known == key).map(|(_, text)| (*text).to_owned())).0
         };

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn the_centre_of_a_ring_is_found_beside_hot_pixels_and_on_a_slope() {
+    fn ring_centre_is_found_with_hot_pixels_and_a_gradient() {
         for (x, y) in [(60.0, 100.0), (150.3, 60.7), (200.0, 140.0)] {
             let spot = find(&frame(x, y), 64).unwrap();
             // The slope is 3 in 2000 a pixel; a centroid within a pixel is what a cut-out needs.

@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rejection_of_a_fraction_of_a_frame_is_between_those_of_whole_frames() {
+    fn fractional_lag_rejection_is_between_those_of_whole_frames() {
         let frame_s = 1e-3;
         for frequency_hz in [2.0, 10.0, 30.0, 60.0] {
             let of = |lag: f64| responses(&(0.3, LoopLag::new(lag), frame_s), frequency_hz)[0];

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn light_moves_out_of_the_core_and_none_is_lost_within_a_wide_image() {
+    fn blur_moves_light_from_the_core_to_a_symmetric_halo() {
         let m = 96;
         let blur = ExposureBlur::new(&scene("0.010"), m, 22.5).unwrap().unwrap();
         let mut point = vec![0.0; m * m];

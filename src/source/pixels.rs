@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn responses_have_the_stated_spread_and_point_sampling_is_the_identity() {
+    fn responses_have_the_stated_spread_and_points_the_identity() {
         let scene = Scene::preset("keck-onsky").unwrap();
         let flat = Array2::from_elem((100, 100), 2.0);
         assert_eq!(DetectorPixels::new(&scene).apply(flat.clone()), flat);

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn one_iteration_and_a_change_of_basis_give_no_recovered_fraction() {
+    fn recovered_fraction_needs_two_iterations_in_one_basis() {
         let mut acceleration = AndersonAcceleration::default();
         acceleration.record(Array1::ones(3));
         assert_eq!(acceleration.recovered_fraction(0..3), 1.0);

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fixed_group_keeps_its_variance_and_the_posterior_is_the_textbooks() {
+    fn fixed_group_keeps_its_variance_and_textbook_posterior() {
         let information = ndarray::array![[2.0, 0.5], [0.5, 1.0]];
         let b = ndarray::array![3.0, -1.0];
         let fixed = CoefficientGroup { is_fixed: true, ..group(0..2) };

@@ -43,7 +43,7 @@ mod tests {
     use approx::assert_relative_eq;
 
     #[test]
-    fn a_map_is_interpolated_between_its_samples_and_constant_beyond_them() {
+    fn map_is_interpolated_between_samples_and_constant_beyond() {
         let plane = |x: f64, y: f64| 3.0 + 2.0 * x - y;
         let grid = Grid::new(6, 3.0).unwrap();
         let values = Array2::from_shape_fn((6, 6), |(y, x)| plane(grid.coordinate_m(x), grid.coordinate_m(y)));

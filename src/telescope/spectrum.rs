@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_integrate_polynomials_of_twice_their_number_against_the_curve() {
+    fn nodes_integrate_polynomials_of_twice_their_number() {
         let spectrum = Spectrum::new(curve(), None);
         assert_eq!(spectrum.range_nm(), [1850.0, 2180.0]);
         for count in 1..=30 {

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn one_window_of_one_vector_is_the_tail_of_the_normal_distribution() {
+    fn one_window_of_one_vector_has_the_tail_of_the_normal() {
         // 2·Φ(−4.5) = 6.795e-6; the approximation neglects 1/b² = 5 %.
         let threshold = change_threshold(1, [1, 1], 6.795e-6);
         assert!((threshold.sqrt() - 4.5).abs() < 0.02, "{threshold}");

@@ -114,7 +114,7 @@ fn sessions_of_several_channels() {
 }
 
 #[test]
-fn what_becomes_of_images() {
+fn images() {
     passes("images.c", &[]);
 }
 
@@ -139,7 +139,7 @@ fn threads_lifetimes_and_panics() {
 }
 
 #[test]
-fn what_was_destroyed_is_mostly_noticed() {
+fn use_of_destroyed_handles_is_mostly_detected() {
     if is_watched() {
         println!("skipped: this is what a watched program must not do");
     } else {
@@ -148,7 +148,7 @@ fn what_was_destroyed_is_mostly_noticed() {
 }
 
 #[test]
-fn handles_that_come_and_go_leave_nothing() {
+fn destroyed_handles_leave_no_memory() {
     let times = match is_watched() {
         true => "20",
         false if std::env::var_os("COPHASE_LONG_TESTS").is_some() => "10000",

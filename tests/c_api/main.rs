@@ -97,7 +97,7 @@ fn c99() {
 }
 
 #[test]
-fn what_is_compared_would_show_a_turn_or_a_flip() {
+fn compared_maps_differ_from_their_turns_and_flips() {
     let mut stepper = stepper();
     let differs = |map: &Array2<f32>| {
         let bits = |map: Array2<f32>| map.mapv(f32::to_bits);

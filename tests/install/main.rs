@@ -66,7 +66,7 @@ fn declared() -> BTreeSet<String> {
 }
 
 #[test]
-fn what_is_installed_is_taken_away_again() {
+fn uninstall_removes_all_installed_files() {
     let tree = Tree::stage("/usr");
     let shared = format!("lib/libcophase.so.{VERSION}");
     let soname = format!("lib/libcophase.so.{ABI}");
@@ -99,7 +99,7 @@ fn what_is_installed_is_taken_away_again() {
 }
 
 #[test]
-fn the_shared_library_asks_for_little() {
+fn shared_library_has_few_dependencies() {
     let tree = Tree::stage("/usr");
     let library = tree.path().join("lib/libcophase.so");
     assert_eq!(dynamic(&library, "SONAME"), [format!("libcophase.so.{ABI}")]);
@@ -220,7 +220,7 @@ fn the_program_of_the_page_compiles_and_runs() {
 }
 
 #[test]
-fn the_check_for_lto_sees_what_has_none() {
+fn lto_check_detects_a_library_without_lto() {
     let tree = Tree::stage("/usr");
     let library = tree.path().join("lib/libcophase.so");
     let output = Command::new(root().join("scripts/check-lto")).arg(library).output().unwrap();

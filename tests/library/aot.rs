@@ -61,7 +61,7 @@ fn a_run_has_the_same_bits_in_both_files() {
 }
 
 #[test]
-fn channels_have_their_own_cameras_and_share_the_telemetry_of_one_exposure() {
+fn channels_have_own_cameras_and_shared_telemetry() {
     let channels = "\n[[image.channel]]\nname = \"plus\"\ndiversity_focus_waves_rms = 1.0\n\n[[image.channel]]\nname = \"minus\"\n\
                     diversity_focus_waves_rms = -1.0\n";
     for simultaneous in [false, true] {
@@ -169,7 +169,7 @@ fn slopes_follow_the_mask_the_unit_and_the_times() {
 }
 
 #[test]
-fn what_is_missing_or_contradicts_itself_is_named() {
+fn missing_and_contradictory_tables_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.fits");
     let refused = |edit: &dyn Fn(&mut AotTables, &mut FitsWriter), words: &[&str]| {

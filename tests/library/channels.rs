@@ -59,7 +59,7 @@ fn a_pair_is_better_than_either_image_and_needs_no_order() {
 }
 
 #[test]
-fn a_pair_determines_the_amplitude_of_its_defocus_and_one_image_does_not() {
+fn defocus_amplitude_is_determined_by_a_pair_not_by_one_image() {
     let made = with_channels(PAIR, &[("image.diversity_focus_waves_rms", "0.84")]);
     let made = Scene::from_text(&made.text().replace("= -0.8\n", "= -0.84\n"), Path::new("")).unwrap();
     let images: Vec<Images> = Images::simulated_channels(&made).unwrap();
@@ -185,7 +185,7 @@ const BEHIND_AO: &str = "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\n
                          diversity_focus_waves_rms = -0.8\n";
 
 #[test]
-fn channels_behind_adaptive_optics_are_read_with_their_own_telemetry() {
+fn ao_channels_are_estimated_with_their_own_telemetry() {
     let text = include_str!("../c_api/small.toml").replacen("[aberrations]", &format!("{BEHIND_AO}\n[aberrations]"), 1);
     let scene = Scene::from_text(&text, Path::new("")).unwrap();
     let mut simulator = Simulator::new(&scene).unwrap();

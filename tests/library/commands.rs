@@ -68,7 +68,7 @@ fn volts(commands: &Option<Commands>, name: &str) -> f64 {
 }
 
 #[test]
-fn a_permuted_mirror_that_volts_drive_is_corrected_by_the_commands() {
+fn commands_in_volts_correct_a_permuted_mirror() {
     let folder = tempfile::tempdir().unwrap();
     let scene = with_commands(
         folder.path(),
@@ -219,7 +219,7 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
 }
 
 #[test]
-fn a_matrix_needs_a_column_for_each_segment_and_a_table_names_its_rows() {
+fn segment_matrix_gives_commands_and_needs_all_columns() {
     let folder = tempfile::tempdir().unwrap();
     let scene = with_commands(
         folder.path(),

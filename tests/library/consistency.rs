@@ -65,7 +65,7 @@ fn arrays_of_counts_are_converted_with_the_gain_of_the_scene() {
 }
 
 #[test]
-fn a_file_and_a_scene_that_contradict_each_other_need_a_decision() {
+fn contradiction_of_file_and_scene_needs_a_decision() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");
     let plain = scene(&[]);
@@ -100,7 +100,7 @@ fn a_file_and_a_scene_that_contradict_each_other_need_a_decision() {
 }
 
 #[test]
-fn a_filter_whose_band_lacks_the_wavelength_contradicts_the_scene() {
+fn filter_without_the_wavelength_contradicts_the_scene() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");
     let plain = scene(&[]);
@@ -161,7 +161,7 @@ fn the_filters_of_a_real_frame_contradict_no_scene() {
 }
 
 #[test]
-fn an_image_of_an_odd_size_is_read_without_its_last_row_and_column() {
+fn image_of_odd_size_loses_its_last_row_and_column() {
     let scene = scene(&[]);
     let made = Images::simulated(&scene).unwrap();
     let clean = estimate(&scene, &made);
@@ -233,7 +233,7 @@ fn the_area_of_a_pixel_is_fitted() {
 }
 
 #[test]
-fn what_has_no_model_of_the_area_of_pixels_is_refused() {
+fn methods_without_a_pixel_area_model_are_refused() {
     let refused_scene =
         |settings: &[(&str, &str)]| Scene::preset("keck-artificial").unwrap().with(settings).unwrap_err().to_string();
     let coarse = refused_scene(&[("image.pixel_fill", "1"), ("image.samples_per_lambda_over_d", "1.5")]);
@@ -292,7 +292,7 @@ fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
 
 /// A MAP estimate does not fit the background, and a modal one does.
 #[test]
-fn a_background_that_contradicts_the_scene_is_refused_by_map_estimates() {
+fn contradicting_background_is_refused_by_map_estimates() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");
     let plain = scene(&[("image.background_e", "100")]);

@@ -27,7 +27,7 @@ fn pulls(what: &str, found: &Estimate) -> [f64; 2] {
 }
 
 #[test]
-fn an_estimate_with_the_curve_and_the_star_is_right_and_one_without_is_flagged() {
+fn estimate_is_right_only_with_filter_curve_and_star() {
     let (_folder, made) = made();
     let images = Images::simulated(&made).unwrap();
     let without_curve = [("image.filter_file", ""), ("image.star_temperature_k", "")];
@@ -74,7 +74,7 @@ fn model(scene: &Scene) -> Model {
 }
 
 #[test]
-fn what_a_filter_file_contradicts_is_refused_in_a_sentence() {
+fn keys_that_contradict_a_filter_file_are_refused() {
     let (folder, made) = made();
     let sentence = |result: Result<Estimate>| result.unwrap_err().to_string();
     let images = Images::simulated(&made).unwrap();

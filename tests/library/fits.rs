@@ -331,7 +331,7 @@ fn bad_pixels_are_read_from_the_file_and_from_the_mask() {
 }
 
 #[test]
-fn the_read_noise_of_the_image_hdu_comes_first_and_must_be_a_number() {
+fn read_noise_of_the_image_hdu_comes_first_and_is_a_number() {
     let folder = folder();
     let data = big_endian_f32(&[1.0; 6]);
     let noise = |card: &str| {
@@ -662,7 +662,7 @@ fn targets_that_cannot_be_written_are_refused_at_once() {
 }
 
 #[test]
-fn a_finished_file_replaces_the_old_one_through_a_link_and_with_usual_permissions() {
+fn finished_file_replaces_the_target_of_a_link() {
     use std::os::unix::fs::PermissionsExt;
     let folder = folder();
     let real = put(&folder, "real.fits", b"old");

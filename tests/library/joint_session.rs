@@ -79,7 +79,7 @@ fn a_session_agrees_with_the_estimate() {
 }
 
 #[test]
-fn whole_wavelengths_are_flagged_by_a_fit_and_found_by_its_refinement() {
+fn whole_wavelengths_are_flagged_by_a_fit_and_then_refined() {
     let scene = with_channels(COLOURS, &[("aberrations.segment_piston_rms_nm", "3000")]);
     let images = Images::simulated_channels(&scene).unwrap();
     let mut session = session(&scene, &images);
@@ -138,7 +138,7 @@ fn deadlines_cancels_and_frames_of_no_use() {
 }
 
 #[test]
-fn scenes_that_a_session_does_not_take_are_refused_in_a_sentence() {
+fn scenes_without_a_joint_session_are_refused_with_the_reason() {
     let refused = |scene: &Scene, words: &str| {
         let error = JointSession::new(scene, &SessionOptions::default()).err().unwrap().to_string();
         assert!(error.contains(words), "{error}");

@@ -157,7 +157,7 @@ fn left_behind_ringed_mirror(folder: &Path, seed: u64, zernikes: &str) -> [(f64,
 }
 
 #[test]
-fn estimates_behind_the_measured_mirror_are_within_their_error_bars() {
+fn measured_mirror_estimates_are_within_their_error_bars() {
     const DRAWS: u64 = 6;
     let folder = tempfile::tempdir().unwrap();
     let mut squares = [0.0; 2];
@@ -175,7 +175,7 @@ fn estimates_behind_the_measured_mirror_are_within_their_error_bars() {
 /// Where NCPA extend beyond the polynomials of an estimate, modes of this mirror of few actuators are no better: they leave out a fourth of
 /// the lowest polynomials.
 #[test]
-fn modes_of_a_coarse_mirror_do_not_take_the_place_of_polynomials_that_they_leave_out() {
+fn coarse_mirror_modes_do_not_replace_missing_polynomials() {
     let folder = tempfile::tempdir().unwrap();
     let [phasing, ncpa] = left_behind_ringed_mirror(folder.path(), 4, "[4, 78]");
     // Polynomials to order 9 hold Noll 4 to 55, and leave 13 nm; the mirror's modes leave 18: the bound is between. Errors of one draw, the RMS

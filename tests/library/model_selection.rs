@@ -43,7 +43,7 @@ fn modes_are_added_where_the_scene_does_not_explain_the_images() {
 }
 
 #[test]
-fn modes_are_added_where_the_sum_of_the_images_or_one_of_them_shows_them() {
+fn modes_are_added_where_a_sum_or_one_image_shows_them() {
     // NCPA of 6 and 13 nm in Zernikes beyond those of the scene: of the first no single image shows anything, of the second the median χ² of
     // the images is 1.4.
     for (rms_nm, status, shows) in
@@ -92,7 +92,7 @@ fn reflectivities_and_shadows_that_the_images_show_are_fitted() {
 }
 
 #[test]
-fn what_modes_do_not_explain_stays_a_misfit() {
+fn misfit_outside_the_modes_remains_a_misfit() {
     // A filter of 5 % that the scene does not have.
     let made = [("image.bandwidth_fraction", "0.1")];
     let found = estimate(&made, &[("image.bandwidth_fraction", "0")], Policy::default());

@@ -330,7 +330,7 @@ fn segment_modes_follow_the_owner_map() {
 }
 
 #[test]
-fn the_report_of_the_joint_basis_names_global_piston_and_the_tilts() {
+fn joint_basis_report_names_global_piston_and_tilts() {
     let pupil = keck_like(60);
     let kl = keck_kl(&pupil, 66).basis.sampled(&pupil).unwrap();
     let joint = SegmentModes::Piston.maps(&pupil).unwrap().followed_by(&kl).unwrap();

@@ -21,7 +21,7 @@ fn read(scene: &Scene, images: &Images) -> Estimate {
 }
 
 #[test]
-fn moved_reference_slopes_count_from_a_file_of_images_and_from_the_corrections_that_were_sent() {
+fn moved_reference_is_read_from_images_and_sent_corrections() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let settings = [

@@ -86,7 +86,7 @@ fn simultaneous_channels_are_averaged_in_each_exposure() {
 
 /// Pistons of 1,500 nm RMS, more than half of either wavelength, to whose whole wavelengths the loop does not respond.
 #[test]
-fn two_colours_tell_whole_wavelengths_behind_adaptive_optics() {
+fn two_colours_resolve_whole_wavelengths_behind_ao() {
     let settings = [("aberrations.segment_piston_rms_nm", "1500"), ("modes.piston_range_nm", "10000")];
     let scene = scene(COLOURS, &settings);
     let found = estimate(&scene, &simulated(&scene));
@@ -97,7 +97,7 @@ fn two_colours_tell_whole_wavelengths_behind_adaptive_optics() {
 }
 
 #[test]
-fn channels_in_focus_and_slopes_of_some_channels_are_left_out_with_a_warning() {
+fn in_focus_channels_and_partial_slopes_are_left_out() {
     let focus = "[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n";
     let scene = scene(&format!("{PAIR}{focus}"), &[("image.count", "4")]);
     let mut images = simulated(&scene);

@@ -33,7 +33,7 @@ fn an_observation_reaches_its_budget_when_it_is_taken() {
 }
 
 #[test]
-fn two_wavelengths_reach_further_and_what_reaches_nothing_says_so() {
+fn two_wavelengths_extend_range_and_tiny_budgets_have_no_plan() {
     let scene = scene(&[]);
     let two = plan(&scene, &[2168.6, 1640.0], 1.0);
     let colours = two.observations.iter().find(|one| one.channels[0].0 != one.channels.last().unwrap().0).unwrap();

@@ -135,7 +135,7 @@ impl Draw {
 }
 
 #[test]
-fn gains_that_differ_by_mode_change_the_ncpa_by_a_fraction_of_their_error_bar() {
+fn modal_optical_gains_change_the_ncpa_below_their_error_bar() {
     let scene = Scene::preset("keck-pyramid").unwrap().with(&SETTINGS).unwrap();
     let folder = tempfile::tempdir().unwrap();
     for seed in 1..=DRAWS {

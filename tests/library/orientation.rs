@@ -16,7 +16,7 @@ fn estimate(scene: &Scene, images: &Images) -> Estimate {
 }
 
 #[test]
-fn the_sign_of_the_diversity_is_unverified_where_the_pupil_equals_its_turn_by_180_degrees() {
+fn diversity_sign_is_unverified_for_point_symmetric_pupils() {
     let remark = |settings: &[(&str, &str)]| {
         let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
         let found = estimate(&scene, &Images::simulated(&scene).unwrap());
@@ -89,7 +89,7 @@ fn a_pupil_that_equals_its_mirror_image_does_not() {
 
 /// The response of a known loop is computed from the pistons, whose flipped map has the flipped response.
 #[test]
-fn a_known_loop_without_slopes_does_not_determine_the_orientation() {
+fn known_loop_without_slopes_leaves_the_orientation_open() {
     let settings = [("estimate.method", "full-phase"), ("estimate.device", "cpu")];
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let images = exposures(&mut Stepper::new(&scene).unwrap(), 3);

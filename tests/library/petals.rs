@@ -50,7 +50,7 @@ fn arms_divide_the_pupil_into_sectors_by_their_direction() {
 
 /// Samples of 12 mm: gaps of 20 mm are dark strips of one or two samples, and arms of 60 mm of five.
 #[test]
-fn maps_have_the_parts_of_their_geometry_and_gaps_separate_nothing() {
+fn maps_have_petals_of_their_spider_and_not_of_their_gaps() {
     let grid = Grid::new(960, 11.1).unwrap();
     let mirror = HexagonalParameters { gap_m: 0.02, obscuration_diameter_m: 2.6, ..HexagonalParameters::keck() };
     let whole = Aperture::hexagonal(&mirror).unwrap().pupil(&grid).unwrap();
@@ -89,7 +89,7 @@ const PISTONS: (&str, &str) = ("aberrations.petal_coefficients_nm", "[300, -300,
 const PISTONS_NM: [f64; 6] = [300.0, -300.0, 300.0, -300.0, 300.0, -300.0];
 
 #[test]
-fn petals_are_added_to_the_ncpa_and_leave_the_other_draws_as_they_are() {
+fn petals_are_added_to_the_ncpa_without_changing_other_draws() {
     let (pupil, before) = truth(&keck(&[]));
     let (_, given) = truth(&keck(&[PISTONS]));
     assert_eq!(before.piston_nm, given.piston_nm);

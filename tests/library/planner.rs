@@ -88,7 +88,7 @@ fn a_budget_is_kept_on_other_scenes_at_less_work() {
 }
 
 #[test]
-fn a_plan_is_a_scene_that_says_the_same_on_every_run() {
+fn plan_is_a_reproducible_scene() {
     let scene = small(&[("estimate.budget_nm", "2"), ("image.peak_snr", "50")]);
     let (first, second) = (plan(&scene, 2.0).unwrap(), plan(&scene, 2.0).unwrap());
     assert_eq!(first.scene.text(), second.scene.text());
@@ -151,7 +151,7 @@ fn more_budget_never_costs_more() {
 }
 
 #[test]
-fn a_budget_below_the_noise_is_told_and_leaves_a_model_that_noise_rules() {
+fn budget_below_the_noise_gives_a_noise_limited_model() {
     let plan = plan(&small(&[("image.peak_snr", "20")]), 0.1).unwrap();
     assert!(!plan.is_met());
     let sentence = plan.shortfall().unwrap();
@@ -161,7 +161,7 @@ fn a_budget_below_the_noise_is_told_and_leaves_a_model_that_noise_rules() {
 }
 
 #[test]
-fn a_scene_without_a_truth_is_planned_for_what_its_modes_can_hold() {
+fn scene_without_a_truth_is_planned_for_its_modes() {
     let (start, end) = (SMALL.find("[aberrations]").unwrap(), SMALL.find("[modes]").unwrap());
     let text = SMALL[..start].to_string() + &SMALL[end..].replace("ncpa_count = 14", "ncpa_count = 5");
     let plan = plan(&Scene::from_text(&text, Path::new("")).unwrap(), 5.0).unwrap();
@@ -170,7 +170,7 @@ fn a_scene_without_a_truth_is_planned_for_what_its_modes_can_hold() {
 }
 
 #[test]
-fn tilted_segments_are_priced_as_they_are() {
+fn segment_tilts_are_in_the_error_budget() {
     // Segments that tilt by 20 nm, and are estimated in piston, tip and tilt: prices that forgot the tilts would find
     // no model within 15 nm.
     let scene = small(&[("aberrations.segment_tip_tilt_rms_nm", "20"), ("modes.segment", "piston-tip-tilt")]);
@@ -180,7 +180,7 @@ fn tilted_segments_are_priced_as_they_are() {
 }
 
 #[test]
-fn a_filters_width_is_named_with_its_price() {
+fn filter_width_is_named_with_its_error() {
     let priced = |width: &str, peak_snr: &str| {
         let plan = plan(&small(&[("image.bandwidth_fraction", width), ("image.peak_snr", peak_snr)]), 2.0).unwrap();
         let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap().clone();
@@ -198,7 +198,7 @@ fn a_filters_width_is_named_with_its_price() {
 }
 
 #[test]
-fn what_cannot_be_planned_is_refused() {
+fn unplannable_scenes_are_refused() {
     for budget_nm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let error = plan(&small(&[]), budget_nm).unwrap_err().to_string();
         assert!(error.contains("budget") && error.contains("positive"), "{error}");

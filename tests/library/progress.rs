@@ -63,7 +63,7 @@ fn the_stages_of_a_map_estimate_count_their_images() {
 }
 
 #[test]
-fn a_map_estimate_is_cancelled_while_it_retrieves_and_while_it_separates() {
+fn map_estimate_is_cancelled_in_retrieval_and_separation() {
     let (scene, images) = setting();
     for stage in [Stage::Retrieving, Stage::Separating] {
         // Of the images one is retrieved, so that the work is in its middle.

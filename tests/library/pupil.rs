@@ -301,7 +301,7 @@ fn band_limited_weights_carry_the_exact_low_frequencies() {
 }
 
 #[test]
-fn band_limited_weights_give_an_exact_focal_field_and_anti_aliased_edges_do_not() {
+fn focal_field_is_exact_with_band_limited_weights_only() {
     let (aperture, phases) = (Aperture::keck(), phases());
     let fine = grid(960, KECK_WIDTH_M * 1.2);
     let fine_weights = SegmentWeights::band_limited(&aperture, &fine, &BandLimit::new(200.0, 960).unwrap()).unwrap();

@@ -89,7 +89,7 @@ fn the_presets_have_the_expected_values() {
 }
 
 #[test]
-fn a_sparse_reconstructor_has_its_regularisation_and_refuses_what_it_cannot_do() {
+fn sparse_reconstructor_accepts_its_own_keys_only() {
     let sparse = ("control.reconstructor", "sparse");
     let scene = Scene::preset("keck-onsky").unwrap().with(&[sparse, ("control.filtered_modes", "")]).unwrap();
     let control = scene.control.as_ref().unwrap();
@@ -213,7 +213,7 @@ fn telescopes_of_the_presets_have_their_segments_and_labels() {
 }
 
 #[test]
-fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
+fn messages_name_line_key_value_and_accepted_range() {
     let cases = [
         (
             "[image]\nwavelenght_nm = 2000",

@@ -38,7 +38,7 @@ fn an_estimator_misses_every_file_that_its_scene_names() {
 }
 
 #[test]
-fn an_estimator_keeps_its_model_until_a_file_of_its_scene_changes() {
+fn estimator_keeps_its_model_until_a_scene_file_changes() {
     let folder = tempfile::tempdir().unwrap();
     let filter = folder.path().join("filter.csv");
     let path = filter.display().to_string();

@@ -51,7 +51,7 @@ fn flipped_up_down(images: &Images) -> Images {
 }
 
 #[test]
-fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
+fn slopes_of_other_images_are_refused_with_the_cause() {
     let (scene, right) = (scene(&[]), images(4));
     let half = right.slopes_mas.as_ref().unwrap().ncols() / 2;
     let x_and_y =
@@ -100,7 +100,7 @@ fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
 }
 
 #[test]
-fn telemetry_is_used_at_its_gain_or_ignored_where_the_scene_says_so() {
+fn telemetry_is_used_at_its_gain_or_ignored_as_the_scene_sets() {
     let right = images(4);
     let found = estimate(&scene(&[]), &right).unwrap();
     let check = found.map.as_ref().unwrap().telemetry.clone().unwrap();
@@ -132,7 +132,7 @@ fn telemetry_is_used_at_its_gain_or_ignored_where_the_scene_says_so() {
 }
 
 #[test]
-fn reference_slopes_are_left_out_with_a_warning_where_no_slopes_were_measured() {
+fn reference_slopes_without_measured_slopes_have_a_warning() {
     // Large beside what turbulence leaves in the mean of eight images, so that they are corrected.
     let scene = scene(&[("aberrations.ncpa_rms_nm", "300"), ("estimate.telemetry", "ignore")]);
     let images = exposures(&mut Stepper::new(&scene).unwrap(), 8);
@@ -167,7 +167,7 @@ fn settings_that_contradict_one_another_are_refused() {
 }
 
 #[test]
-fn images_that_change_are_recognised_and_read_by_the_method_for_them() {
+fn changing_images_are_recognised_and_given_their_method() {
     let changing = images(5);
     let modal = estimate(&scene(&MODAL), &changing).unwrap();
     let warnings = modal.warnings.join("\n");

@@ -76,7 +76,7 @@ fn first_scene(desk: &Desk, images: &str) -> String {
 }
 
 #[test]
-fn a_first_scene_is_made_of_the_tables_and_estimates_as_the_own_scene() {
+fn first_scene_of_aot_tables_estimates_as_the_own_scene() {
     let desk = desk();
     let text = first_scene(&desk, "aot.fits");
     for line in [
@@ -113,7 +113,7 @@ fn a_first_scene_is_made_of_the_tables_and_estimates_as_the_own_scene() {
 }
 
 #[test]
-fn what_aot_cannot_hold_is_refused_before_the_run() {
+fn scenes_without_an_aot_form_are_refused_before_the_run() {
     let desk = desk();
     let order = ["--set", "wavefront_sensor.slope_order=[\"interleaved\"]"];
     let arguments = [["simulate", "sky.toml", "-o", "a.fits", "--aot", "b.fits"].as_slice(), &order].concat();
@@ -136,7 +136,7 @@ fn aotpy_reads_our_file_and_its_copy_has_the_same_bits() {
 }
 
 #[test]
-fn files_that_aotpy_makes_are_read_or_refused_with_what_is_missing() {
+fn aotpy_files_are_read_or_refused_with_the_missing_part() {
     let Some(python) = aotpy() else { return };
     let desk = desk();
     run(&desk, &python, &["make", "sky.fits", "."]);

@@ -183,7 +183,7 @@ fn a_full_disk_leaves_what_was_there() {
 }
 
 #[test]
-fn a_stdout_that_cannot_be_written_is_said() {
+fn unwritable_stdout_is_reported() {
     let desk = Desk::with_scene();
     let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let output = desk.command(&["scene", "--reference"]).stdout(full).stderr(Stdio::piped()).output().unwrap();

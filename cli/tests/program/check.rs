@@ -36,7 +36,7 @@ fn finding<'a>(json: &'a Value, quantity: &str) -> &'a Value {
 }
 
 #[test]
-fn nothing_is_named_where_there_is_no_fault() {
+fn correct_scene_has_no_named_fault() {
     let desk = desk(&[]);
     let json = desk.json(&check("bare.fits", &["--json"]));
     assert_eq!(json["cause"], Value::Null, "{json}");
@@ -74,7 +74,7 @@ fn a_wrong_plate_scale_is_named_and_corrected() {
 }
 
 #[test]
-fn a_plate_scale_that_is_far_off_is_named_in_the_keys_of_the_scene() {
+fn far_off_plate_scale_is_named_in_the_keys_of_the_scene() {
     // In milliarcseconds, 6 % more than the images have.
     let desk = desk(&["image.samples_per_lambda_over_d=2.12"]);
     let wavelength_nm = cophase::Scene::from_file(desk.path("scene.toml")).unwrap().image.wavelength_nm;
@@ -97,7 +97,7 @@ fn a_plate_scale_that_is_far_off_is_named_in_the_keys_of_the_scene() {
 }
 
 #[test]
-fn strict_says_by_its_status_whether_there_is_a_fault() {
+fn strict_sets_the_exit_status_for_a_fault() {
     let sound = desk(&[]);
     let done = sound.succeeds(&check("bare.fits", &["--strict", "--write", "same.toml"]));
     assert!(done.err.contains("same.toml was not written: no fault was found") && !sound.path("same.toml").exists());

@@ -76,7 +76,7 @@ fn a_cache_that_cannot_be_written_is_no_failure() {
 
 /// A driver is installed, and there is no device: which driver, and why.
 #[test]
-fn no_device_with_a_driver_installed_says_why() {
+fn missing_device_with_a_driver_has_a_reason() {
     let desk = Desk::with_scene();
     std::fs::create_dir(desk.path("vendors")).unwrap();
     std::fs::write(desk.path("vendors/broken.icd"), "libno-such-driver.so.1\n").unwrap();

@@ -25,7 +25,7 @@ fn opencl() -> Option<String> {
 }
 
 #[test]
-fn without_a_driver_auto_runs_and_opencl_says_so() {
+fn missing_driver_is_accepted_by_auto_and_refused_by_opencl() {
     let desk = Desk::with_images(&[]);
     std::fs::create_dir(desk.path("no-drivers")).unwrap();
     let without = |arguments: &[&str]| {
@@ -50,7 +50,7 @@ fn without_a_driver_auto_runs_and_opencl_says_so() {
 /// The process dies at three moments of a write. Before the rename what was there is there, with a temporary file beside it
 /// that nothing reads; after it the new file is whole.
 #[test]
-fn a_process_killed_while_it_writes_leaves_a_whole_file_or_the_old_one() {
+fn killed_writer_leaves_a_complete_file_or_the_old_one() {
     let desk = Desk::with_images(&[]);
     desk.succeeds(&ESTIMATE);
     let whole = std::fs::read(desk.path("est.fits")).unwrap().len();
@@ -80,7 +80,7 @@ fn a_process_killed_while_it_writes_leaves_a_whole_file_or_the_old_one() {
 }
 
 #[test]
-fn a_thread_that_panics_is_a_status_and_a_sentence() {
+fn panicking_thread_is_a_status_and_a_message() {
     let desk = Desk::with_images(&["image.count=3"]);
     std::fs::write(desk.path("est.fits"), "what was there").unwrap();
     let before = desk.files();

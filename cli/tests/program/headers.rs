@@ -113,7 +113,7 @@ fn a_file_that_contradicts_the_scene_is_refused() {
     for (key, card) in [("WAVELEN", 2000.0.into()), ("CENWAVE", 2.0.into()), ("EFFWAVE", "2.00 um".into())] {
         agree(key, card);
     }
-    // λ/grid_m/2, in arcsec: `images_hold_what_their_cards_say` of verbs.rs has the width.
+    // λ/grid_m/2, in arcsec: `image_cards_agree_with_the_pixels` of verbs.rs has the width.
     agree("PIXSCALE", 0.0440.into());
     agree("RDNOISE", 20.0.into());
     agree("CDELT1", 1.0.into());

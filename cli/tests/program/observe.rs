@@ -3,7 +3,7 @@
 use crate::Desk;
 
 #[test]
-fn the_scene_of_the_recommended_observation_is_written_and_can_be_read() {
+fn recommended_observation_is_written_as_a_readable_scene() {
     let desk = Desk::with_scene();
     let words = ["plan", "scene.toml", "--observe", "--budget-nm", "2", "-o", "observe.toml"];
     let table = desk.succeeds(&words).out;
@@ -18,7 +18,7 @@ fn the_scene_of_the_recommended_observation_is_written_and_can_be_read() {
 }
 
 #[test]
-fn what_cannot_be_reached_or_planned_is_refused() {
+fn unreachable_budgets_and_unplannable_scenes_are_refused() {
     let desk = Desk::with_scene();
     let words = ["plan", "scene.toml", "--observe", "--budget-nm", "1e-6"];
     desk.refuses(

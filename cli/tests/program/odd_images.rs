@@ -150,7 +150,7 @@ fn a_saturated_detector_and_a_second_star_are_named() {
 
 /// Five exposures behind adaptive optics, in a file.
 #[test]
-fn images_that_change_are_recognised_and_read_by_the_method_for_them() {
+fn changing_images_are_recognised_and_given_their_method() {
     let desk = Desk::with_scene();
     std::fs::write(desk.path("sky.toml"), include_str!("../../../tests/c_api/sky.toml")).unwrap();
     desk.succeeds(&["simulate", "sky.toml", "-o", "sky.fits", "--set", "image.count=5"]);

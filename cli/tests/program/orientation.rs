@@ -45,7 +45,7 @@ fn slopes_of_the_opposite_sign_are_refused_used_or_ignored() {
 }
 
 #[test]
-fn a_simulated_loop_writes_and_reads_slopes_in_the_form_of_the_scene() {
+fn simulated_slopes_are_written_in_the_form_of_the_scene() {
     let desk = Desk::with_scene();
     std::fs::write(desk.path("sky.toml"), SKY).unwrap();
     desk.succeeds(&["simulate", "sky.toml", "-o", "plain.fits"]);
@@ -212,7 +212,7 @@ fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
 /// With three vanes the pupil equals its mirror image left to right, and not that up to down: an image flipped up to down is that of the opposite defocus.
 /// The check names both, and a poke decides.
 #[test]
-fn a_flip_and_the_sign_of_the_defocus_are_distinguished_by_a_poke() {
+fn poke_distinguishes_a_flip_from_the_sign_of_the_defocus() {
     let desk = Desk::with_scene();
     let vanes = "spider_width_m = 0.25\nspider_vanes_deg = [90, 210, 330]\nsamples = 64";
     std::fs::write(desk.path("scene.toml"), SMALL.replace("samples = 64", vanes)).unwrap();

@@ -138,7 +138,7 @@ fn images_and_scenes_are_read_from_standard_input() {
 
 /// A piston is sent to a segment by its place, which does not depend on an observatory's numbering.
 #[test]
-fn an_estimate_says_where_each_segment_is() {
+fn estimate_has_the_position_of_each_segment() {
     let desk = Desk::with_images(&[]);
     desk.succeeds(&["estimate", "images.fits", "-o", "est.fits"]);
     let mut file = FitsReader::open(desk.path("est.fits")).unwrap();

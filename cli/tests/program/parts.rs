@@ -141,7 +141,7 @@ fn the_job_array_of_slurm_makes_the_file_of_one_run() {
 }
 
 #[test]
-fn merge_makes_what_the_command_asked_for_wherever_it_is_started() {
+fn merge_makes_the_outputs_of_the_command_from_any_folder() {
     let desk = Desk::with_images(&["image.count=2"]);
     std::fs::create_dir(desk.path("night one")).unwrap();
     std::fs::rename(desk.path("images.fits"), desk.path("night one/images.fits")).unwrap();

@@ -42,7 +42,7 @@ fn fails(desk: &Desk, command: Command, words: &[&str]) {
 }
 
 #[test]
-fn a_rank_that_dies_or_fails_ends_the_job_and_the_next_one_goes_on() {
+fn failed_rank_ends_the_job_and_the_next_job_resumes() {
     let desk = sequence();
     let first_part = desk.path("est.fits.parts/part-1-of-2.fits");
     // Killed when the other has written its part.

@@ -72,7 +72,7 @@ fn raw_frames_become_the_images_again() {
 
 /// Cubes of two channels, which a card distinguishes, with frames of the sky and darks: from raw frames to the estimate of the pair.
 #[test]
-fn cubes_of_two_channels_with_a_sky_become_the_estimate_of_a_pair() {
+fn cubes_of_two_channels_with_a_sky_give_a_pair_estimate() {
     let desk = Desk::with_scene();
     let text = std::fs::read_to_string(desk.path("scene.toml")).unwrap().replacen("[aberrations]", PAIR, 1);
     std::fs::write(desk.path("pair.toml"), text).unwrap();

@@ -44,7 +44,7 @@ fn a_run_leaves_images_truth_and_telemetry_that_estimate_reads() {
 
 /// 80 samples across the pupil filter away 0.28 % of the light of these images, 120 nothing.
 #[test]
-fn a_grid_too_coarse_for_the_images_is_said() {
+fn too_coarse_grid_is_reported() {
     let desk = Desk::with_scene();
     std::fs::write(desk.path("sky.toml"), include_str!("../../../tests/c_api/sky.toml")).unwrap();
     let one = ["simulate", "sky.toml", "-o", "sky.fits", "--set", "image.count=1", "--set", "control.settle_s=0.01"];
@@ -61,7 +61,7 @@ fn a_grid_too_coarse_for_the_images_is_said() {
 
 /// Places of actuators that a person reads off the picture are those of the telemetry.
 #[test]
-fn the_picture_of_a_loop_shows_the_actuators_and_subapertures_of_its_file() {
+fn loop_picture_shows_actuators_and_subapertures_of_its_file() {
     let desk = desk();
     desk.succeeds(&["simulate", "loop.toml", "-o", "sky.fits"]);
     desk.succeeds(&["scene", "loop.toml", "--plot", "pupil.svg"]);
@@ -114,7 +114,7 @@ fn a_seed_decides_everything_and_another_one_changes_it() {
 }
 
 #[test]
-fn a_loop_past_its_margin_stops_and_says_so() {
+fn diverging_loop_stops_with_a_message() {
     let desk = desk();
     let unstable = ["--set", "control.gain=1.05", "--set", "control.lag_frames=2"];
     let early = ["simulate", "loop.toml", "-o", "early.fits", "--set", "image.count=200"];
@@ -132,7 +132,7 @@ fn a_loop_past_its_margin_stops_and_says_so() {
 }
 
 #[test]
-fn what_is_missing_or_impossible_is_named() {
+fn missing_and_impossible_keys_are_named() {
     let desk = desk();
     desk.refuses(&["simulate", "scene.toml", "-o", "sky.fits"], &["[wavefront_sensor]"]);
     let with = |setting: &'static str| ["simulate", "loop.toml", "-o", "sky.fits", "--set", setting];

@@ -38,7 +38,7 @@ fn units(desk: &Desk, name: &str) -> Vec<(String, String, String)> {
 }
 
 #[test]
-fn files_have_standard_units_the_scale_of_maps_and_the_place_of_segments() {
+fn files_have_standard_units_map_scale_and_segment_positions() {
     assert!(["photon", "nm", "mas/nm", "um", "ms"].into_iter().all(is_standard));
     assert!(!["electron", "e-", "micron", "nanometer", ""].into_iter().any(is_standard));
     let desk = Desk::with_images(&[]);

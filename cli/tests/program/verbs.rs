@@ -12,7 +12,7 @@ fn keys(json: &Value) -> Vec<&str> {
 }
 
 #[test]
-fn optics_that_are_fitted_are_told_and_written() {
+fn fitted_optics_are_reported_and_written() {
     let desk = Desk::with_images(&["image.samples_per_lambda_over_d=2.01"]);
     let set =
         ["--set", "image.samples_per_lambda_over_d=2", "--set", "estimate.fit_optics=[\"plate-scale\", \"defocus\"]"];
@@ -129,7 +129,7 @@ fn the_way_of_the_paper_and_single_precision_run() {
 }
 
 #[test]
-fn images_hold_what_their_cards_say() {
+fn image_cards_agree_with_the_pixels() {
     let desk = Desk::with_images(&["image.count=3"]);
     let images = read_images(desk.path("images.fits"), None).unwrap();
     assert_eq!((images.data.dim(), images.read_noise_e), ((3, 64, 64), Some(20.0)));
@@ -186,7 +186,7 @@ fn the_command_line_goes_before_the_file() {
 }
 
 #[test]
-fn a_scene_names_its_files_relative_to_itself_and_the_images_remember_them() {
+fn file_names_are_relative_to_the_scene_and_stored_in_images() {
     let desk = Desk::with_scene();
     std::fs::create_dir(desk.path("there")).unwrap();
     let mut file = cophase::io::FitsWriter::create(desk.path("there/ncpa.fits")).unwrap();
@@ -228,7 +228,7 @@ fn a_file_of_a_scene_may_name_its_hdu_in_brackets() {
 
 /// A map of 240 samples is averaged to the default of 120.
 #[test]
-fn a_pupil_that_is_averaged_by_default_is_said_to_be() {
+fn pupil_averaged_by_default_is_reported() {
     let desk = Desk::with_scene();
     let disc = ndarray::Array2::from_shape_fn((240, 240), |(y, x)| {
         let [x, y] = [x, y].map(|at| at as f64 - 119.5);
@@ -251,7 +251,7 @@ fn a_pupil_that_is_averaged_by_default_is_said_to_be() {
 
 /// The README's first command, on the scene of the paper.
 #[test]
-fn the_demonstration_goes_from_nothing_to_a_picture() {
+fn demonstration_writes_its_picture() {
     let desk = Desk::with_scene();
     let json = desk.json(&["demo", "-o", "new/folder", "--json"]);
     assert_eq!((&json["used"], &json["status"]), (&1.into(), &"ok".into()));
@@ -340,7 +340,7 @@ fn every_verb_helps_with_an_example() {
 }
 
 #[test]
-fn a_reader_that_leaves_early_is_no_failure() {
+fn closed_pipe_is_no_failure() {
     let desk = Desk::with_scene();
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
@@ -350,7 +350,7 @@ fn a_reader_that_leaves_early_is_no_failure() {
 }
 
 #[test]
-fn a_sequence_says_how_it_was_combined() {
+fn sequence_reports_its_combination() {
     let desk = Desk::with_images(&["image.count=9"]);
     let (json, err) = desk.estimates_well("images.fits", &[]);
     assert_eq!(err, "");

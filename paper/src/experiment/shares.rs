@@ -153,7 +153,7 @@ mod tests {
     const ODD: [f64; 5] = [0.1 + 0.2, -1e-300, f64::NAN, f64::INFINITY, 5e-324];
 
     #[test]
-    fn draws_of_all_parts_have_their_bits_and_a_torn_line_is_made_again() {
+    fn draws_of_parts_keep_their_bits_and_torn_lines_are_redone() {
         let folder = tempfile::tempdir().unwrap();
         let open = |part: Option<&str>| {
             Shares::open(folder.path(), "t", "all", part.map(|part| part.parse().unwrap())).unwrap()

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn they_follow_their_definitions() {
+    fn statistics_follow_their_definitions() {
         let values = [3.0, 1.0, 5.0, 7.0];
         assert_eq!((mean(&values), median(&values), rms(&values)), (4.0, 5.0, 21f64.sqrt()));
         assert_eq!(standard_deviation(&values), (20f64 / 3.0).sqrt());

@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn conditions_reach_the_scene_and_the_reader_knows_no_loop() {
+    fn conditions_reach_the_scene_and_the_reader_has_no_loop() {
         let conditions =
             Conditions { segments: Segments::Real, settings: vec![("image.count", "7")], ..Default::default() };
         let row = Row::named("mask-coupling").unwrap();

@@ -47,7 +47,7 @@ fn a_point_for_every_combination_with_the_promised_keys() {
 }
 
 #[test]
-fn every_variant_finds_what_the_f64_cpu_chain_finds() {
+fn every_variant_agrees_with_the_f64_cpu_chain() {
     let desk = Desk::with_scene();
     // Every device that is here.
     for point in points(&desk, &["--samples", "64", "--optimizer", "gauss-newton,paper"]) {
@@ -90,7 +90,7 @@ fn the_table_names_the_times_and_the_set_up() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_named() {
+fn unmeasurable_cases_are_named() {
     let desk = Desk::with_scene();
     for (options, words) in [
         (vec!["--pixels", "63"], "'63' pixels"),

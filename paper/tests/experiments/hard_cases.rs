@@ -64,7 +64,7 @@ fn of<'a>(found: &'a HardCases, name: &str) -> &'a [Verdict] {
 }
 
 #[test]
-fn no_answer_is_wrong_without_saying_so() {
+fn wrong_estimates_are_flagged() {
     let names: Vec<&str> = if std::env::var_os("COPHASE_LONG_TESTS").is_some() {
         // The cases whose draws are tried five times as often are covered below.
         HARD_CASES.iter().filter(|case| case.draws != Draws::FiveTimes).map(|case| case.name).collect()
@@ -139,7 +139,7 @@ fn faint_stars_are_right_or_flagged() {
 }
 
 #[test]
-fn what_is_asked_for_wrongly_or_not_wanted_any_more_is_refused() {
+fn invalid_and_cancelled_requests_are_refused() {
     assert!(matches!(tried(&["no such case"], 1), Err(Error::Value(_))));
     let up: CancelFlag = Arc::new(AtomicBool::new(true));
     let cases = HardCase::named(&["no defocus".into()]).unwrap();

@@ -65,7 +65,7 @@ fn the_same_draws_give_the_same_bits_and_a_mask_that_grows() {
 }
 
 #[test]
-fn it_stops_when_told_to() {
+fn cancelled_run_stops() {
     let flag: CancelFlag = Arc::default();
     flag.store(true, Ordering::Relaxed);
     let error = leak(&LeakCase::ALL, 1, &Progress::new(&|_, _| {}, Some(&flag))).unwrap_err();
@@ -73,7 +73,7 @@ fn it_stops_when_told_to() {
 }
 
 #[test]
-fn segments_that_were_corrected_leave_nothing_to_leak() {
+fn corrected_segments_have_no_leakage() {
     let calm = ["fractions", "heights_m", "wind_m_s", "wind_dir_rad"].map(|key| format!("turbulence.{key}"));
     let mut settings: Vec<(&str, &str)> = calm.iter().map(|key| (key.as_str(), "[]")).collect();
     settings.extend([("wavefront_sensor.photon_noise", "false"), ("wavefront_sensor.read_noise_e", "0")]);

@@ -59,7 +59,7 @@ fn the_table_is_the_same_on_one_core_and_on_many() {
 }
 
 #[test]
-fn a_loop_that_is_lost_before_the_first_image_leaves_an_empty_line() {
+fn loop_diverged_before_the_first_image_has_an_empty_line() {
     // Five frames of lag at a gain of 1: far beyond the margin, and so many e-foldings in 0.2 s that no draw is spared.
     let mut conditions = short("2");
     conditions.settings.extend([("control.lag_frames", "5"), ("control.gain", "1")]);
@@ -78,7 +78,7 @@ fn a_loop_that_is_lost_before_the_first_image_leaves_an_empty_line() {
 }
 
 #[test]
-fn more_images_say_more() {
+fn more_images_reduce_the_error() {
     let made = image_numbers(&short("10"), 1, &Progress::new(&|_, _| {}, None)).unwrap();
     // Two loops, two ways, three combinations, 1, 2, 5 and 10 images.
     assert_eq!(made.points.len(), 2 * 2 * 3 * 4);

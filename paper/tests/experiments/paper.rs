@@ -33,7 +33,7 @@ fn rms(trials: &[Trial], of: fn(&Trial) -> f64) -> f64 {
 }
 
 #[test]
-fn ours_leaves_nothing_but_noise_and_says_how_much() {
+fn default_method_is_noise_limited_with_valid_error_bars() {
     let ours = WayResult::of(Way::Ours, &preset(), shared_draws(), &progress()).unwrap();
     assert!(ours.trials.iter().all(|trial| trial.status == "ok"), "{:?}", ours.trials);
     // A root mean square over 5 draws scatters by 15 %/√5 = 7 %: 15 % is twice that, which these seeds keep. Below the
@@ -53,7 +53,7 @@ fn ours_leaves_nothing_but_noise_and_says_how_much() {
 }
 
 #[test]
-fn the_papers_way_leaves_what_its_modes_do_not_span() {
+fn papers_method_leaves_aberrations_outside_its_modes() {
     let case = Case::new(&Way::Paper.of(&preset()).unwrap()).unwrap();
     let trials = case.fit(shared_draws(), &progress()).unwrap();
     // χ² per pixel of 17 to 60 says that the modes do not span what is there; wrong minima have 900 and more.
@@ -132,7 +132,7 @@ fn a_raised_flag_stops_every_target_and_leaves_no_file() {
 }
 
 #[test]
-fn requests_that_make_no_sense_are_refused() {
+fn invalid_requests_are_refused() {
     for target in Target::ALL {
         assert_eq!(Target::parse(target.name()).unwrap(), target);
     }

@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_with_a_fraction_of_a_frame_diverges_beyond_its_largest_stable_gain() {
+    fn fractional_lag_loop_diverges_beyond_its_largest_stable_gain() {
         // λ² − λ + g(0.6 + 0.4λ): |λ|² = 0.6 g once complex, so the limit is 1/0.6. The norm of 400 frames of λ changes by
         // √0.96^400 = 3e-4 and √1.05^400 = 2e4.
         let bench = Bench::small();
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn with_open_loop_inpainting_masked_slopes_do_not_reach_the_mirror() {
+    fn masked_slopes_do_not_reach_the_mirror_with_inpainting() {
         let bench = Bench::keck();
         let mut hidden = Array1::zeros(496);
         for (slope, masked) in hidden.iter_mut().zip(bench.mask.iter().chain(&bench.mask)) {

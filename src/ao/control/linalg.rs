@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn least_squares_fits_a_line_and_refuses_rank_deficient_matrices() {
+    fn least_squares_fits_a_line_and_refuses_rank_deficiency() {
         let line = array![[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]];
         // Through (0, 0), (1, 1), (2, 1): intercept 1/6, slope 1/2, from the normal equations by hand.
         let fit = least_squares(&line, &array![[0.0], [1.0], [1.0]]).unwrap();

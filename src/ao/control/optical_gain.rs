@@ -156,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gains_of_a_weak_sensor_are_found_in_one_window_and_restore_the_loop() {
+    fn weak_sensor_gains_are_estimated_and_restore_the_loop() {
         // A sensor that measures 0.6 of every slope, with a loop behind it that fights the sines.
         let bench = Bench::small();
         let plant: Plant = bench.plant();

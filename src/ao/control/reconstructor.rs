@@ -157,7 +157,7 @@ mod tests {
     const IDENTITY: f64 = 2e-12;
 
     #[test]
-    fn the_inverse_is_the_identity_on_kept_modes_and_dropped_modes_are_counted() {
+    fn inverse_is_the_identity_on_kept_modes_and_counts_dropped() {
         let bench = Bench::keck();
         for (keys, dropped) in [
             ("filtered_modes = 2", 2),

@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn masked_slopes_do_not_reach_the_mirror_and_what_is_not_possible_is_refused() {
+    fn masked_slopes_are_unused_and_invalid_plants_refused() {
         let bench = Bench::keck();
         let matrix = sparse(bench, "fill = \"mask-interaction-matrix\"").command_matrix();
         for (column, masked) in bench.mask.iter().chain(&bench.mask).enumerate() {

@@ -140,7 +140,7 @@ fn noise_mas(settings: &[(&str, &str)]) -> f64 {
 }
 
 #[test]
-fn photon_noise_falls_as_the_root_of_the_light_and_read_noise_as_the_light() {
+fn photon_noise_falls_as_root_of_light_and_read_noise_as_light() {
     let quiet = ("wavefront_sensor.read_noise_e", "0.0");
     // 82,500, 825 and 8.25 electrons: normal above 100, drawn photon by photon below.
     let [bright, medium, faint] =

@@ -143,7 +143,7 @@ mod tests {
 
     /// Functions with negative rings, of each actuator and in common, on another grid than the simulator's.
     #[test]
-    fn a_measured_surface_is_the_sum_of_the_functions_with_its_moments() {
+    fn measured_surface_is_the_sum_of_functions_with_its_moments() {
         let scene = Scene::preset("keck-onsky").unwrap();
         let telescope = Telescope::new(&scene).unwrap();
         let (pupil, footprint) = (&telescope.pupil, Footprint::with_margin(&telescope.pupil, 3));

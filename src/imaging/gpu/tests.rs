@@ -198,7 +198,7 @@ fn compare_with_single_images(layout: &GpuLayout) {
 }
 
 #[test]
-fn allocated_memory_agrees_with_the_formula_and_limits_the_tiles() {
+fn allocated_memory_agrees_with_its_formula_and_limits_tiles() {
     let whole = whole_scene();
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();

@@ -71,7 +71,7 @@ fn no_failing_command_changes_a_result() {
 
 /// A device selected by name is not replaced: its failure is returned, and the next call uses it again.
 #[test]
-fn a_device_selected_by_name_fails_with_a_status_and_can_be_used_again() {
+fn named_device_fails_with_a_status_and_remains_usable() {
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {
         let case = case(1);
         let device = Device::open(&info, false).unwrap();

@@ -37,7 +37,7 @@ fn evaluation_raises<T: super::super::phasor::Polynomial>() -> u32 {
 }
 
 #[test]
-fn an_evaluation_has_none() {
+fn evaluation_has_no_subnormal_numbers() {
     let tiny = std::hint::black_box(1e-20f32);
     assert_eq!(raised(|| assert!(tiny * tiny < tiny)), FLAGS);
     assert_eq!((evaluation_raises::<f32>(), evaluation_raises::<f64>()), (0, 0));

@@ -233,7 +233,7 @@ mod tests {
     use ndarray::array;
 
     #[test]
-    fn an_image_has_the_mean_of_its_frames_and_the_bits_of_a_single_one() {
+    fn image_is_the_mean_of_its_frames_exactly_for_one_frame() {
         let measured = array![[0.1, 1.0], [0.3, 3.0], [0.7, 5.0], [0.9, 7.0]];
         let times_s = [0.0, 1.0, 2.0, 3.0];
         // 0.3 + 0.7 is exact here, and so are halves.

@@ -152,7 +152,7 @@ fn real_pixels_are_those_that_cfitsio_reads() {
 }
 
 #[test]
-fn what_cannot_be_unpacked_is_refused_with_the_reason() {
+fn invalid_tiles_are_refused_with_the_reason() {
     let method = Method { bitpix: 16, compression: sys::HCOMPRESS_1, tile: Some([45, 37, 1]), quantisation: (0.0, 0) };
     let values = pixels(100.0, false);
     let refusal = |bytes: &[u8], hdu: &str| read(bytes, hdu).map(|_| ()).unwrap_err().to_string();

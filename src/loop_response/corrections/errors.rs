@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_plane_through_the_segments_is_corrected_where_it_is_known() {
+    fn plane_through_the_segments_is_corrected_where_known() {
         let ring = (0..6).map(|k| (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos());
         let centres = std::iter::once((0.0, 0.0)).chain(ring);
         let segments: Vec<Segment> = centres.map(|(y_m, x_m)| Segment { x_m, y_m, label: 0 }).collect();

@@ -63,7 +63,7 @@ fn products_in_tiles_are_those_of_the_whole() {
 }
 
 #[test]
-fn what_flux_and_background_absorb_is_what_projection_removes() {
+fn projection_removes_flux_and_background() {
     let estimator = estimator();
     let at = Array1::from_elem(26, 17.0);
     let (psf, mut jacobian) = estimator.reference_chain().jacobian(at.view());
@@ -98,7 +98,7 @@ fn what_flux_and_background_absorb_is_what_projection_removes() {
 }
 
 #[test]
-fn a_nuisance_that_is_another_is_taken_out_once() {
+fn duplicate_nuisance_is_projected_out_once() {
     // Rows: one mode, a nuisance, and the same nuisance doubled.
     let products = ndarray::array![[5.0, 2.0, 4.0], [2.0, 1.0, 2.0], [4.0, 2.0, 4.0]];
     let cleared = NuisanceShares::new(&products, Nuisances::FluxAndBackground).project_out(products);

@@ -27,7 +27,7 @@ fn star(size: usize, at: (f64, f64)) -> Array2<f64> {
 }
 
 #[test]
-fn a_reduction_keeps_the_sum_and_the_values_of_a_band_limited_image() {
+fn reduction_keeps_sum_and_values_of_a_band_limited_image() {
     // Frequencies of up to 5 cycles across 24 pixels survive the reduction to 12 (Nyquist 6).
     let wave =
         |y: f64, x: f64| 3.0 + (TAU * 5.0 * x / 24.0 + 0.3).cos() + 2.0 * (TAU * (4.0 * y - 2.0 * x) / 24.0).sin();
@@ -118,7 +118,7 @@ fn frames_without_a_star_are_refused_with_the_reason() {
 }
 
 #[test]
-fn frames_that_are_not_square_keep_their_axis_through_the_flip_the_reduction_and_the_crop() {
+fn rectangular_frames_keep_their_axis_in_flip_and_crop() {
     // 48 pixels along x, 32 along y: the axis on [24, 16].
     let (width, height) = (48, 32);
     let star = |x: f64, y: f64| {

@@ -246,7 +246,7 @@ fn drawn_segment_modes_are_recovered_from_a_mean_wavefront() {
 }
 
 #[test]
-fn the_linear_response_to_tilts_is_the_derivative_of_the_response() {
+fn linear_tilt_response_is_the_derivative_of_the_response() {
     let (simulator, run) = run();
     let mut response = ClosedLoopResponse::new(simulator.scene(), &run.samples).unwrap();
     let linear = response.linear_response(&[0.0; 21], 7..21).unwrap();

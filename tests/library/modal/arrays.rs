@@ -154,7 +154,7 @@ fn arrays_and_files_are_the_same_model() {
 }
 
 #[test]
-fn what_the_scene_says_of_modes_holds_where_there_are_no_arrays_of_them() {
+fn modes_of_the_scene_apply_without_mode_arrays() {
     let pupil = Telescope::new(&scene(&[])).unwrap().pupil;
     let arrays = Arrays { amplitude: pupil.amplitude, segments: Some(pupil.owner), modes: None, diversity_nm: None };
     let names = |text: &str, arrays: &Arrays| {
@@ -213,7 +213,7 @@ fn fine_arrays_and_files_are_the_same_model_by_default() {
 }
 
 #[test]
-fn modes_that_say_nothing_or_the_same_twice_are_told_by_the_degeneracy_report() {
+fn zero_and_duplicate_modes_are_in_the_degeneracy_report() {
     let mut arrays = own(48);
     let modes = arrays.modes.take().unwrap();
     let zero = Array2::zeros((48, 48));

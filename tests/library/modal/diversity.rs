@@ -11,7 +11,7 @@ use std::sync::Arc;
 const HELD: (&str, &str) = ("modes.exact_zernikes", "[2, 4]");
 
 #[test]
-fn modes_hold_a_focus_or_say_that_they_do_not() {
+fn diversity_error_needs_a_focus_in_the_modes() {
     let with = |settings: &[(&str, &str)]| ModalFitter::new(&scene(settings), false).unwrap();
     let own = with(&[HELD]);
     let (held, image) = (own.diversity_projection().unwrap(), &own.scene().image);
@@ -34,7 +34,7 @@ fn modes_hold_a_focus_or_say_that_they_do_not() {
 }
 
 #[test]
-fn an_error_of_the_diversity_is_in_the_error_bars_and_no_number_of_images_takes_it_out() {
+fn diversity_error_is_in_the_error_bars_of_any_sequence() {
     let known = scene(&[HELD, ("image.count", "3")]);
     let unsure = scene(&[HELD, ("image.count", "3"), ("estimate.diversity_error", "0.02")]);
     let images_e = source::simulate(&known).unwrap().images_e;

@@ -73,7 +73,7 @@ fn one_image_gives_both_maps_within_their_error_bars() {
 }
 
 #[test]
-fn pixels_that_stand_out_are_cut_where_no_model_explains_the_image() {
+fn outlier_pixels_are_rejected_in_images_with_a_misfit() {
     // Each pixel by itself, and four of nine in one, where a hole would be smeared.
     for sampling in ["native", "nyquist"] {
         let scene = scene(&[EXPLAINED_SNR, ("estimate.sampling", sampling)]);

@@ -90,7 +90,7 @@ fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
 }
 
 #[test]
-fn a_defocus_is_found_only_where_no_mode_holds_it() {
+fn defocus_is_fitted_only_without_a_focus_mode() {
     let made = scene(&[("image.diversity_focus_waves_rms", "0.82")]);
     let asked = ("estimate.fit_optics", "[\"defocus\"]");
     let (estimator, _, _) = found(&made, &scene(&[asked]));
@@ -113,7 +113,7 @@ fn read_of(scene: &Scene) -> cophase::Result<()> {
 }
 
 #[test]
-fn what_cannot_be_fitted_is_refused_in_a_sentence() {
+fn unidentifiable_optics_are_refused_with_the_reason() {
     let asked = |what: &str| scene(&[("estimate.fit_optics", what)]);
     let sentence = |outcome: cophase::Result<()>| match outcome {
         Err(Error::Scene(sentence) | Error::Image(sentence)) => sentence,

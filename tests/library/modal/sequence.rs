@@ -118,7 +118,7 @@ fn error_bars_of_a_sequence_are_the_errors() {
 }
 
 #[test]
-fn images_that_stand_out_are_named_and_clipped() {
+fn outlier_images_are_named_and_clipped() {
     let mut maker = Maker::new(7);
     let mut made = maker.sequence(12, 40.0);
     let clean = fit(ours(), &made.images_e).1;
@@ -172,7 +172,7 @@ fn subsets_are_combined_without_another_fit() {
 }
 
 #[test]
-fn noise_alone_gives_a_sequence_the_error_bars_of_its_fisher_matrix() {
+fn noise_only_sequence_has_error_bars_of_its_fisher_matrix() {
     // A star so faint that the sampling of the pupil is below the noise of twelve images.
     let scene = scene(&[("image.count", "12"), ("image.peak_snr", "50")]);
     let made = source::simulate(&scene).unwrap();
@@ -189,7 +189,7 @@ fn noise_alone_gives_a_sequence_the_error_bars_of_its_fisher_matrix() {
 }
 
 #[test]
-fn the_papers_objective_has_the_papers_minimum_at_a_fraction_of_the_evaluations() {
+fn paper_objective_reaches_its_minimum_in_fewer_evaluations() {
     let artificial = source::simulate(&scene(&[])).unwrap().images_e;
     let turbulent = Maker::new(5).sequence(2, 100.0).images_e;
     for (what, images_e) in [("artificial", artificial), ("turbulent", turbulent)] {
@@ -228,7 +228,7 @@ fn estimate_open(settings: &[(&str, &str)]) -> (ModalFitter, ModalEstimate, sour
 }
 
 #[test]
-fn modes_that_one_image_does_not_show_are_within_the_error_bars_of_forty() {
+fn insignificant_modes_are_within_the_error_bars_of_40_images() {
     // NCPA beyond the scene's own basis, which ends at Noll 13. χ² of one image would be 1.01 to 1.1 without them, and the mean of
     // forty wrong by twenty error bars.
     for last in ["21", "45"] {
@@ -250,7 +250,7 @@ fn modes_that_one_image_does_not_show_are_within_the_error_bars_of_forty() {
 }
 
 #[test]
-fn error_bars_of_many_bright_images_include_an_error_of_the_model() {
+fn error_bars_of_many_bright_images_include_model_errors() {
     // The sampling of the pupil is an error that does not average out: a reduced χ² of 1.14 in one image at 250, which is no
     // misfit, and of 1.56 at 500, which is one.
     for peak_snr in ["250", "500"] {

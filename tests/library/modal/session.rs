@@ -36,7 +36,7 @@ fn batch(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
 }
 
 #[test]
-fn a_session_is_the_estimator_bit_by_bit_whatever_the_count_and_the_threads() {
+fn session_has_the_bits_of_the_estimator_at_any_thread_count() {
     for weighting in ["noise", "none"] {
         // A session does not restart a misfit.
         let settings = [("image.count", "5"), ("estimate.weighting", weighting), ("estimate.restarts", "0")];
@@ -135,7 +135,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
 }
 
 #[test]
-fn a_start_near_the_truth_takes_fewer_evaluations_to_the_same_point() {
+fn start_near_the_truth_takes_fewer_evaluations() {
     let scene = scene(&[]);
     let images_e = source::simulate(&scene).unwrap().images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
@@ -188,7 +188,7 @@ fn evaluations_are_those_of_the_chain() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_a_sentence() {
+fn invalid_sessions_are_refused_with_the_reason() {
     let scene = scene(&[]);
     let estimator = estimator(&scene);
     let message = |options| Session::new(estimator.clone(), &options).err().unwrap().to_string();
@@ -211,7 +211,7 @@ fn what_cannot_be_is_refused_with_a_sentence() {
 }
 
 #[test]
-fn bad_pixels_in_a_frame_to_be_reduced_are_refused_with_the_way_out() {
+fn bad_pixels_in_a_frame_to_be_reduced_are_refused() {
     let scene = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176")]);
     let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = estimator(&scene);

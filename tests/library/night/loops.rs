@@ -191,7 +191,7 @@ fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
 }
 
 #[test]
-fn a_fraction_of_a_frame_leaves_an_error_between_those_of_whole_frames() {
+fn fractional_lag_error_is_between_those_of_whole_frames() {
     // The same turbulence each time, without noise: at 20 m/s the error of a frame of lag is larger than what else remains.
     let fast = one_layer("20.0");
     let left_nm = |lag: &str| {
@@ -208,7 +208,7 @@ fn a_fraction_of_a_frame_leaves_an_error_between_those_of_whole_frames() {
 }
 
 #[test]
-fn the_loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
+fn loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
     let run = |gain: &str, lag: &str| {
         let mut simulator = simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("image.count", "3")]);
         let mut shots: Vec<Shot> = Vec::new();
@@ -230,7 +230,7 @@ fn the_loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
 }
 
 #[test]
-fn inpainting_of_residual_slopes_is_unstable_and_of_pseudo_open_loop_slopes_stable() {
+fn inpainting_is_stable_for_pseudo_open_loop_slopes_only() {
     let masked =
         [("wavefront_sensor.mask", "segments"), ("control.fill", "inpaint"), ("pupil.segment_side_m", "0.862")];
     let closed = simulator(&masked);

@@ -57,7 +57,7 @@ fn a_rectangular_frame_is_the_middle_of_a_square_one() {
 }
 
 #[test]
-fn a_wavefront_that_grows_along_x_moves_the_spot_along_the_columns() {
+fn wavefront_growing_along_x_moves_the_spot_along_columns() {
     let simulator = simulator(&[]);
     let grid = simulator.pupil().grid;
     // 5 λ/D along x and −3 along y, at 2 pixels per λ/D.
@@ -70,7 +70,7 @@ fn a_wavefront_that_grows_along_x_moves_the_spot_along_the_columns() {
 }
 
 #[test]
-fn images_of_the_loop_and_of_an_artificial_source_agree_without_turbulence() {
+fn loop_and_artificial_source_images_agree_without_turbulence() {
     // Without turbulence and with a flat mirror the image equals that of `source`, which has code and a grid of its
     // own.
     let settings = [NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE, &[("aberrations.truth_samples", "960")]].concat();
@@ -110,7 +110,7 @@ fn an_image_wider_than_the_sampling_allows_is_refused() {
 }
 
 #[test]
-fn a_broad_filter_is_the_mean_over_its_wavelengths_at_fixed_angles() {
+fn broad_filter_image_is_the_mean_over_its_wavelengths() {
     let simulator = simulator(&[]);
     let view = View { rows: 128, columns: 128, ..View::from_scene(&simulator.scene().image) };
     let segments_nm = simulator.segments_nm().to_vec();

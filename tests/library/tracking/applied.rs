@@ -164,7 +164,7 @@ fn the_newest_corrections_may_be_applied() {
 }
 
 #[test]
-fn corrections_that_nobody_applies_are_not_recognised() {
+fn unapplied_corrections_are_not_recognised() {
     // 20 nights at ten false ones a night that are accepted, of two corrections, each as a whole and in parts: the bound is 200. Lorden's bound is not
     // sharp; a few would show that the weights are no likelihood ratios where none are far beyond it.
     let mut found = 0;

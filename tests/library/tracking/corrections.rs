@@ -93,7 +93,7 @@ fn deadband_limit_gain_and_reasons() {
 }
 
 #[test]
-fn a_mode_that_is_badly_known_holds_no_other() {
+fn uncertain_mode_does_not_block_the_others() {
     let mut estimate_nm = Array1::from_elem(SEGMENTS + 10, 12.0);
     let mut covariance_nm2 = Array2::eye(SEGMENTS + 10) * 9.0;
     // As a focus beside an error of the diversity; in one block its variance would exceed all that the others gain.

@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_beyond_the_maps_is_within_the_plot() {
+    fn points_beyond_the_maps_are_within_the_plot() {
         let mut picture = hexagons("1", "true");
         let far_m = picture.width_m;
         picture.actuators = Some(Lattice { name: "1 actuator".into(), centres_m: vec![(far_m, 0.0)], pitch_m: 1.0 });

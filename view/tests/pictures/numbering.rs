@@ -53,7 +53,7 @@ fn the_pupil_is_drawn_with_y_up_and_borders_between_segments() {
 }
 
 #[test]
-fn actuators_and_subapertures_are_drawn_and_counted_in_the_legend() {
+fn actuators_and_subapertures_are_drawn_and_in_the_legend() {
     let mut picture = halves();
     let lattice = |name: &str, centres_m: Vec<(f64, f64)>| Some(Lattice { name: name.into(), centres_m, pitch_m: 1.0 });
     picture.actuators = lattice("2 actuators", vec![(-1.5, -1.5), (1.5, -1.5)]);

@@ -404,7 +404,7 @@ fn curves_of_nothing_one_point_and_the_same_point_are_drawn() {
 }
 
 #[test]
-fn a_picture_replaces_the_old_one_whole_and_leaves_nothing_beside_it() {
+fn picture_replaces_the_old_one_and_leaves_no_temporary_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("curve.SVG");
     std::fs::write(&path, "old").unwrap();
@@ -420,7 +420,7 @@ fn a_picture_replaces_the_old_one_whole_and_leaves_nothing_beside_it() {
 }
 
 #[test]
-fn errors_say_what_was_wrong_in_one_sentence() {
+fn errors_name_the_cause_in_one_sentence() {
     let sentence = |outcome: cophase::Result<()>| outcome.unwrap_err().to_string();
     let wrong = sentence(curves().draw("curve.jpg"));
     assert_eq!(wrong, "curve.jpg: a picture with extension `jpg` is unknown: name it .png or .svg");

@@ -8,7 +8,7 @@ use std::os::unix::process::CommandExt;
 const KILLS: usize = 12;
 
 #[test]
-fn a_watch_that_is_killed_at_any_moment_loses_and_repeats_nothing() {
+fn killed_watch_loses_and_repeats_no_frame() {
     let kills = std::env::var("COPHASE_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(KILLS);
     let desk = desk_with_frames(40);
     // The moments are random in the time of a watch, which is not known; the seed makes them the same fractions of a second.
@@ -41,7 +41,7 @@ fn trackers(state: &Path) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn a_second_watch_on_one_file_is_refused_until_the_first_is_killed() {
+fn second_watch_on_one_file_is_refused_until_the_first_ends() {
     let desk = desk_with_frames(1);
     put(&desk, 0);
     let mut watch = Running::start(&desk, &[]);
@@ -55,7 +55,7 @@ fn a_second_watch_on_one_file_is_refused_until_the_first_is_killed() {
 }
 
 #[test]
-fn a_full_disk_is_a_sentence_and_the_frames_are_taken_when_there_is_room() {
+fn full_disk_is_reported_and_frames_are_taken_later() {
     let desk = desk_with_frames(4);
     put(&desk, 0);
     once(&desk);

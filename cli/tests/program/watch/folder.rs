@@ -4,7 +4,7 @@ use super::*;
 use cophase::io::FitsReader;
 
 #[test]
-fn a_watch_takes_each_file_once_and_gives_what_an_estimate_gives() {
+fn watch_takes_each_file_once_and_agrees_with_an_estimate() {
     let desk = desk_with_frames(3);
     (0..2).for_each(|number| put(&desk, number));
     let done = once(&desk);
@@ -110,7 +110,7 @@ fn rows_or_none(desk: &Desk) -> usize {
 }
 
 #[test]
-fn what_is_no_frame_is_refused_once_with_its_reason() {
+fn invalid_frames_are_refused_once_with_the_reason() {
     let desk = desk_with_frames(2);
     let whole = std::fs::read(made(&desk, 0)).unwrap();
     std::fs::write(desk.path("frames/half.fits"), &whole[..whole.len() / 2]).unwrap();

@@ -285,7 +285,7 @@ fn other_addresses_need_a_token_and_requests_too() {
 }
 
 #[test]
-fn a_port_in_use_is_a_sentence() {
+fn used_port_is_reported() {
     let desk = desk_with_frames(1);
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port().to_string();

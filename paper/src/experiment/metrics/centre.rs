@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interpolant_equals_the_pixels_and_its_derivatives_equal_finite_differences() {
+    fn interpolant_equals_pixels_and_its_finite_differences() {
         let values = Array2::from_shape_fn((6, 9), |(y, x)| ((7 * y + 3 * x * x) % 11) as f64);
         let interpolant = Interpolant::new("image", values.view()).unwrap();
         for ((y, x), value) in values.indexed_iter() {

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mirror_holds_what_is_smooth_and_the_rest_is_told() {
+    fn smooth_maps_fit_the_mirror_and_the_rest_is_reported() {
         let scene = Scene::preset("keck-onsky").unwrap();
         let (folder, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         for (name, map) in [("NCPA_a", map(0.0, false)), ("NCPA_b", map(20.0, true))] {

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_tells_what_is_worse_and_what_is_wrong() {
+    fn row_reports_worse_and_wrong_estimates() {
         let rows = vec![BEYOND_ROWS[0].clone(), BEYOND_ROWS[1].clone()];
         let draws = vec![draw(NOMINAL, 1, 5.0, 1.0), draw("25 images", 1, 31.0, 2.0), draw("25 images", 2, 7.0, 1.1)];
         let text = Beyond { rows, draws, failed: Vec::new() }.table().csv();

@@ -75,7 +75,7 @@ fn the_average_of_pairs_equals_the_average_of_single_maps() {
 }
 
 #[test]
-fn reading_the_average_does_not_change_it_and_f32_maps_are_exact() {
+fn average_is_unchanged_by_reading_and_exact_for_f32_maps() {
     let (pupil, mut random) = (full_square(16, 2.0), random());
     let maps: Vec<Array2<f32>> = (0..4).map(|_| noise(16, &mut random).mapv(|value| value as f32)).collect();
     let (mut read, mut unread) = (PsdAverage::new(&pupil, 1).unwrap(), PsdAverage::new(&pupil, 1).unwrap());

@@ -85,7 +85,7 @@ fn a_perfect_image_has_a_strehl_of_1() {
 }
 
 #[test]
-fn the_three_methods_agree_for_a_small_aberration_to_the_fourth_order() {
+fn three_methods_agree_to_fourth_order_for_small_aberrations() {
     let telescope = Telescope::new();
     let perfect = telescope.perfect();
     for (wavelength_nm, rms_nm) in BANDS_NM.into_iter().flat_map(|band| [40.0, 80.0, 120.0].map(|rms| (band, rms))) {

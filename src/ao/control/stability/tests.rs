@@ -61,7 +61,7 @@ fn the_roots_reach_the_unit_circle_at_the_largest_stable_gain() {
 }
 
 #[test]
-fn inpainting_residual_slopes_diverges_and_open_loop_slopes_do_not() {
+fn inpainting_is_unstable_for_residual_slopes_only() {
     // On segments of 0.9 m with 20 modes dropped, and on the paper's pupil of 10.49 m with 2: RMD has eigenvalues
     // near −0.001, so the loop diverges within seconds, as in the paper and in an independent simulation (2.1 s).
     for (bench, filtered) in [(Bench::keck(), 20), (&Bench::with_segment_side(0.862), 2)] {

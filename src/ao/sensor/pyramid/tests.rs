@@ -170,7 +170,7 @@ fn twice_the_points_have_the_same_slopes() {
 }
 
 #[test]
-fn a_tilt_has_the_arcsine_of_geometrical_optics_and_saturates_at_the_modulation() {
+fn tilt_signal_is_an_arcsine_that_saturates_at_the_modulation() {
     // Ragazzoni 1996; Vérinaud 2004, section 3: the spot is on one side of the edge for a part of its circle, s = (2/π) asin(α/r).
     for radius in [3.0, 5.0] {
         let bench =
@@ -190,7 +190,7 @@ fn a_tilt_has_the_arcsine_of_geometrical_optics_and_saturates_at_the_modulation(
 }
 
 #[test]
-fn the_sensitivity_grows_with_the_frequency_up_to_the_modulation() {
+fn sensitivity_grows_with_frequency_up_to_the_modulation() {
     // Vérinaud 2004, eq. 28 and figure 4: an edge between the spot and the speckle of a wave of f cycles is there for the part of the circle
     // on which |mx| < f: (2/π) asin(f/r) below the modulation, 1 above.
     let radius = 4.0;
@@ -245,7 +245,7 @@ fn a_piston_between_halves_has_the_sine_of_its_phase() {
 }
 
 #[test]
-fn photon_noise_of_a_slope_is_one_over_the_root_of_the_electrons_in_four_pixels() {
+fn photon_noise_of_a_slope_is_one_over_root_electrons() {
     // Vérinaud 2004, eq. 33: var s = 1/N with N the photons in the four pixels; read noise adds 4 e²/N².
     for normalisation in ["global", "pixel"] {
         for (read_e, magnitude) in [(0.0, 5.0), (20.0, 9.0)] {
@@ -278,7 +278,7 @@ fn photon_noise_of_a_slope_is_one_over_the_root_of_the_electrons_in_four_pixels(
 }
 
 #[test]
-fn the_optical_gain_of_uncorrelated_phases_is_their_strehl_ratio() {
+fn optical_gain_of_uncorrelated_phases_is_their_strehl_ratio() {
     // An intensity is a sum of products of the field at two points, and the mean of such a product falls by exp(−D/2), D the structure
     // function (Fauvarque et al. 2019, arXiv:1902.05440; Chambouleyron et al. 2020, A&A 644, A6). Phases without correlation have D = 2σ²
     // between all pairs, so that every mode has the gain exp(−σ²).

@@ -57,7 +57,7 @@ fn bits(coefficients_nm: &Array2<f64>) -> Vec<u64> {
 }
 
 #[test]
-fn devices_of_one_kind_have_the_bits_of_one_and_replace_one_that_fails() {
+fn equal_devices_have_the_bits_of_one_and_replace_a_failed_one() {
     let batch = Batch::new();
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {
         let address = info.address();
