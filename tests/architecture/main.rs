@@ -1,6 +1,7 @@
 //! Holds the arrows of `ARCHITECTURE.md` against the sources, and the version against itself.
 
 mod cycles;
+mod names;
 mod rules;
 mod source;
 mod version;
@@ -78,7 +79,7 @@ fn the_sources_keep_the_arrows() {
 }
 
 #[test]
-fn the_map_shows_the_rooms_that_are_there() {
+fn map_lists_the_modules_of_the_sources() {
     for package in PACKAGES {
         let (sources, rules) = (package.sources(), package.rules());
         let built: BTreeSet<&str> =
@@ -248,7 +249,7 @@ fn one_is_found(package: &Package, file: &str, text: &str, named: &str) {
 }
 
 #[test]
-fn the_innocent_are_left_alone() {
+fn allowed_uses_are_no_violations() {
     for (file, text) in [
         ("grid", "use crate::{Error, Result};"),
         ("optimize/mod", "/// See [`crate::pupil`].\nfn f() { /* crate::io */ g(\"crate::io, ocl::Queue\") }"),
@@ -268,14 +269,14 @@ fn the_innocent_are_left_alone() {
 }
 
 #[test]
-fn re_exports_lead_to_their_room() {
+fn re_exports_count_for_their_module() {
     let exported = source::exported("pub mod a; pub use a::{X, b::{Y as Z}}; pub use crate::c::W; pub use d::V;");
     let pairs: Vec<(&str, &str)> = exported.iter().map(|(name, module)| (name.as_str(), module.as_str())).collect();
     assert_eq!(pairs, [("V", "d"), ("W", "c"), ("X", "a"), ("Z", "a")]);
 }
 
 #[test]
-fn files_of_tests_are_no_part_of_the_house() {
+fn test_files_are_excluded_from_the_rules() {
     let declared = |file, text| Source::read(file, text).test_files;
     assert_eq!(declared("io/mod", "#[cfg(test)] mod tests;"), ["io/tests"]);
     assert_eq!(declared("io/fits", "#[cfg(test)]\nmod hard_cases; mod header;"), ["io/fits/hard_cases"]);
