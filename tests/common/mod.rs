@@ -28,6 +28,14 @@ pub fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> 
     chains
 }
 
+/// Checks that a message has each of `facts`, which " | " separates: keys, values, ranges, the next command. The rest of its
+/// sentence may change.
+#[track_caller]
+pub fn assert_facts(message: &str, facts: &str) {
+    let missing: Vec<&str> = facts.split(" | ").filter(|fact| !message.contains(fact)).collect();
+    assert!(missing.is_empty(), "{missing:?} missing in: {message}");
+}
+
 /// ‖a − b‖ / ‖b‖.
 pub fn relative_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());

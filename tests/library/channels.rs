@@ -1,5 +1,6 @@
 //! Channels: several images of one wavefront, fitted together.
 
+use crate::common::assert_facts;
 use crate::consistency::{scene, shown};
 use cophase::ao::{self, Progress, Shot, Simulator};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
@@ -152,16 +153,16 @@ fn images_of_other_channels_than_the_scenes_are_refused() {
     let images = Images::simulated_channels(&scene).unwrap();
     let estimator = Estimator::new(&scene).unwrap();
     let one = estimator.estimate(&images[0]).unwrap_err().to_string();
-    assert!(one.contains("the scene has 2 ([[image.channel]])"), "{one}");
+    assert_facts(&one, "2 ([[image.channel]])");
     let few = estimator.estimate_channels(&images[..1]).unwrap_err().to_string();
-    assert!(few.contains("images of 1 channel, where the scene has 2 (plus, minus)"), "{few}");
+    assert_facts(&few, "1 channel | 2 (plus, minus)");
     let mut other = images.clone();
     other[1].channel = Some("blue".into());
     let unknown = estimator.estimate_channels(&other).unwrap_err().to_string();
     assert!(unknown.contains("no images of the channel 'minus'"), "{unknown}");
     let model =
         Model::new(&scene, &cophase::modal::Recipe::from_scene(&scene), false).map(drop).unwrap_err().to_string();
-    assert!(model.contains("a model and its sessions have one channel"), "{model}");
+    assert_facts(&model, "sessions | one channel");
 }
 
 /// A strut moves the centroids of the segments that it shadows, where their tips and tilts are 0.

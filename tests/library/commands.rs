@@ -1,6 +1,7 @@
 //! Corrections in the terms of controllers: what moves when the commands are sent to hardware that numbers, signs and scales its
 //! channels in its own way.
 
+use crate::common::assert_facts;
 use crate::consistency::scene;
 use cophase::ao::actuators_in_use;
 use cophase::io::{FitsWriter, Pixel};
@@ -159,7 +160,7 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
     let text = std::fs::read_to_string(text).unwrap();
     assert!(text.contains("# segments: channel, um\n100 ") && text.contains("# actuators: channel, nm\n0 "), "{text}");
     assert_eq!(text.matches("# at its limit").count(), over);
-    assert!(text.contains("# The orientation cannot be verified from these images"), "{text}");
+    assert!(text.contains("# The orientation cannot be verified"), "{text}");
     let mut file = cophase::io::FitsReader::open(&fits).unwrap();
     let values: Vec<f64> = commands.channels.iter().map(|channel| channel.value).collect();
     assert_eq!(file.f64_column("SEGMENT_COMMANDS", "ADD").unwrap(), values);
@@ -200,19 +201,22 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
 
     for (name, contents, expected) in [
         ("segments.txt", table("0"), "line 1: a limit of 0"),
-        ("segments.txt", table("").replace("6 106", "7 106"), "line 7: there is no segment 7"),
-        ("segments.txt", table("").replace("101", "100"), "line 2: the channel 100 is there twice"),
-        ("segments.txt", table("").lines().take(6).collect::<Vec<_>>().join("\n"), "no channel has the segment 6"),
+        ("segments.txt", table("").replace("6 106", "7 106"), "line 7 | no segment 7"),
+        ("segments.txt", table("").replace("101", "100"), "line 2 | channel 100 | twice"),
+        ("segments.txt", table("").lines().take(6).collect::<Vec<_>>().join("\n"), "no channel | segment 6"),
     ] {
         write(name, &contents);
         match found.corrections(None).map(|_| ()) {
-            Err(Error::File { path, reason }) => assert!(reason.contains(expected) && path.ends_with(name), "{reason}"),
+            Err(Error::File { path, reason }) => {
+                assert_facts(&reason, expected);
+                assert!(path.ends_with(name), "{path:?}");
+            }
             other => panic!("{expected}: {other:?}"),
         }
     }
     std::fs::remove_file(folder.path().join("segments.txt")).unwrap();
     let sentence = found.corrections(None).unwrap_err().to_string();
-    assert!(sentence.contains("commands.segment_file of the scene names it"), "{sentence}");
+    assert_facts(&sentence, "commands.segment_file");
     // An estimate misses the file before the work.
     let sentence = Estimator::new(&scene).err().unwrap().to_string();
     assert!(sentence.contains("commands.segment_file"), "{sentence}");
@@ -247,5 +251,5 @@ fn segment_matrix_gives_commands_and_needs_all_columns() {
     }
     put(8);
     let sentence = found.corrections(None).unwrap_err().to_string();
-    assert!(sentence.contains("21 rows and 8 columns where there are 7 segments"), "{sentence}");
+    assert_facts(&sentence, "21 rows | 8 columns | 7 segments");
 }

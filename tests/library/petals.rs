@@ -1,6 +1,7 @@
 //! Petals, the parts of a pupil that its spider separates: found in geometry and in maps, in the truth and in estimates.
 
 use super::full_phase::sky;
+use crate::common::assert_facts;
 use cophase::ao::{self, Progress, Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::pupil::{Aperture, Grid, HexagonalParameters, Pupil, PupilParts};
@@ -187,15 +188,15 @@ fn petals_that_there_are_not_are_refused() {
     };
     let whole = Scene::preset("keck-artificial").unwrap();
     let sentence = refused(&whole.with_override("modes.petals", "piston").unwrap());
-    assert!(sentence.contains("the pupil has one part, and petals need two or more"), "{sentence}");
+    assert_facts(&sentence, "one part | petals | two or more");
     let sentence = refused(&keck(&[("aberrations.petal_coefficients_nm", "[1, 2]")]));
-    assert!(sentence.contains("has 2 numbers; 6, a piston for each part of the pupil, or 18"), "{sentence}");
+    assert_facts(&sentence, "2 numbers | 6, a piston | or 18");
     let both = [("aberrations.petal_piston_rms_nm", "10"), PISTONS];
     let sentence = Scene::preset("keck-nirc2").unwrap().with(&both).unwrap_err().to_string();
-    assert!(sentence.contains("are both given; name only one of them"), "{sentence}");
+    assert_facts(&sentence, "both | one of them");
     let text = Scene::preset_text("keck-nirc2").unwrap();
     let text = text.replace("[modes] ", "[modes]\npetals = \"piston\"\nfile = \"modes.fits\" #");
     let text = text.replace("ncpa    = \"kl\"", "#").replace("ncpa_count", "#");
     let sentence = Scene::from_text(&text, Path::new("")).unwrap_err().to_string();
-    assert!(sentence.contains("'modes.petals' has no meaning where modes come from a file"), "{sentence}");
+    assert_facts(&sentence, "'modes.petals' | no meaning | from a file");
 }
