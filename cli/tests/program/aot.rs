@@ -162,8 +162,8 @@ fn aotpy_files_are_read_or_refused_with_the_missing_part() {
         desk.refuses(&["estimate", name, "-o", "none.fits", "--scene", "sky.toml"], words);
     };
     refused("no-camera.fits", &["no scoring camera", "AOT_SCORING_CAMERAS"]);
-    refused("no-detector.fits", &["no images of its scoring cameras (Camera)", "DETECTOR_UID"]);
-    refused("no-images.fits", &["no images of its scoring cameras (Camera)", "PIXEL_INTENSITIES"]);
+    refused("no-detector.fits", &["no images", "(Camera)", "DETECTOR_UID"]);
+    refused("no-images.fits", &["no images", "(Camera)", "PIXEL_INTENSITIES"]);
     refused("unit.fits", &["furlong", "mas, arcsec, rad, pix"]);
     refused("mask.fits", &["subaperture mask MASK", "each once"]);
     // Without a scene, in the file or beside it, there is no model of the instrument.

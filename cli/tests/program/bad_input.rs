@@ -136,7 +136,7 @@ fn images_without_a_scene_and_estimates_without_a_truth() {
     // An estimate has a table IMAGES, and is not an image for it.
     for verb in ["estimate", "check"] {
         let output = if verb == "estimate" { &["-o", "again.fits"][..] } else { &[] };
-        let words = ["est.fits", "is the result of an estimate and holds no images"];
+        let words = ["est.fits", "result of an estimate", "no images"];
         desk.refuses(&[&[verb, "est.fits"], output].concat(), &words);
     }
 }

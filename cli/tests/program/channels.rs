@@ -90,9 +90,10 @@ fn channels_behind_adaptive_optics_are_simulated_and_estimated() {
     // 0.02 s settling, two intervals of 0.01 s, one frame at 1054 Hz.
     assert_eq!((&made["images"], &made["frames"]), (&3.into(), &43.into()));
     let shown = desk.succeeds(&[&run[..], &more].concat()).out;
-    assert!(shown.contains("3 images in 2 channels (plus: 1 of 48x40 pixels, minus: 2 of 48x44 pixels)"), "{shown}");
+    let facts = ["3 images in 2 channels", "plus: 1 of 48x40", "minus: 2 of 48x44"];
+    assert!(facts.iter().all(|fact| shown.contains(fact)), "{shown}");
     let found = desk.json(&["estimate", "sky.fits", "-o", "est.fits", "--plot", "est.svg", "--json"]);
     assert_eq!(found["images"], 3);
     let both = [&run[..], &more, &["--set", "image.simultaneous=true"]].concat();
-    desk.refuses(&both, &["channel 'minus' has image.count = 2 and channel 'plus' 1"]);
+    desk.refuses(&both, &["'minus' has image.count = 2", "'plus' 1"]);
 }

@@ -78,15 +78,15 @@ fn a_frame_of_another_shape_is_refused() {
     let set = WIDE.iter().flat_map(|setting| ["--set", setting]);
     let estimate = ["estimate", "turned.fits", "--scene", "scene.toml", "-o", "est.fits"];
     let arguments: Vec<&str> = estimate.into_iter().chain(set).collect();
-    desk.refuses(&arguments, &["turned.fits", "the image has 120x160 pixels where the scene says 160x120"]);
+    desk.refuses(&arguments, &["turned.fits", "120x160 pixels", "scene says 160x120"]);
     // A whole frame of a detector, whose cards contradict the scene, too.
     let mut file = FitsWriter::create(desk.path("raw.fits")).unwrap();
     file.image("IMAGES", &Array2::from_elem((512, 300), 7.0), Pixel::F32, "adu").unwrap();
     file.card("IMAGES", "ITIME", 2.0, "").unwrap();
     file.finish().unwrap();
     let raw = ["estimate", "raw.fits", "--scene", "scene.toml", "-o", "est.fits"];
-    desk.refuses(&raw, &["raw.fits", "300x512 pixels where the scene says 64x64", "'cophase reduce' cuts images"]);
+    desk.refuses(&raw, &["raw.fits", "300x512 pixels", "scene says 64x64", "cophase reduce"]);
     let with = |setting: &'static str| ["image", "scene.toml", "-o", "e.fits", "--set", setting];
-    desk.refuses(&with("image.rows=66"), &["image.rows = 66 is not accepted; at most image.pixels = 64 is needed"]);
-    desk.refuses(&with("image.columns=7"), &["image.columns = 7 is not accepted; an integer from 8 to 8192"]);
+    desk.refuses(&with("image.rows=66"), &["image.rows = 66 ", "at most image.pixels = 64 "]);
+    desk.refuses(&with("image.columns=7"), &["image.columns = 7 ", "integer from 8 to 8192"]);
 }

@@ -211,14 +211,12 @@ fn small_faults_are_flagged() {
         let most = images.iter().fold(0.0f64, |most, &e| most.max(e));
         images.mapv_inplace(|e| e * (1.0 - 0.02 * e / most));
     });
-    for (name, cause) in
-        [("companion.fits", ": a second star"), ("curved.fits", "a non-linear detector; correct the images")]
-    {
+    for (name, cause) in [("companion.fits", ": a second star"), ("curved.fits", "a non-linear detector")] {
         let done = desk.succeeds(&["estimate", name, "-o", "est.fits", "--json"]);
         let json: Value = serde_json::from_str(&done.out).unwrap();
         let chi2 = number(&json, "reduced_chi2");
         assert!(json["status"] == "misfit" && chi2 < 2.0, "{name}: {json}");
-        let named = done.err.lines().find(|line| line.contains("likely cause of the residual of image 1: "));
+        let named = done.err.lines().find(|line| line.contains("likely cause") && line.contains("image 1: "));
         assert!(named.is_some_and(|line| line.contains(cause)), "{}", done.err);
     }
 }
@@ -259,8 +257,9 @@ fn another_plate_scale_is_named_as_the_cause_of_a_misfit() {
         desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--json", "--set", &set]).err
     };
     let err = read("2.04");
-    let cause = "likely cause of the residual of image 1: the plate scale: with image.samples_per_lambda_over_d = ";
-    let found = err.split(cause).nth(1).unwrap_or_else(|| panic!("{err}"));
+    assert!(err.contains("likely cause") && err.contains("image 1: "), "{err}");
+    let found =
+        err.split("plate scale: with image.samples_per_lambda_over_d = ").nth(1).unwrap_or_else(|| panic!("{err}"));
     let scale: f64 = found.split_whitespace().next().unwrap().parse().unwrap();
     assert!((scale - 2.0).abs() < 0.002 && found.contains("in place of 2.04"), "{err}");
     assert_eq!(read("2"), "");

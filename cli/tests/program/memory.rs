@@ -31,11 +31,12 @@ fn an_ao_system_beyond_the_memory_is_refused_before_it_is_built() {
         "mirror.actuators_across=101",
         "mirror.pitch_m=0.1095",
     ];
-    let words = "an AO system of 16384x16384 samples with 7 layers of turbulence would take 65.5 GiB";
-    for (settings, word) in [(&grid[..], words), (&mirror[..], "slopes would take")] {
+    for (settings, facts) in [(&grid[..], ["16384x16384 samples", "65.5 GiB"]), (&mirror[..], ["slopes", "would take"])]
+    {
         let mut arguments = vec!["simulate", "keck-onsky", "-o", "new.fits"];
         arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
-        limited(&desk, 4_000_000, &arguments).failed(&arguments, &[word, "ulimit -v", "wavefront_sensor."]);
+        limited(&desk, 4_000_000, &arguments)
+            .failed(&arguments, &[&facts[..], &["ulimit -v", "wavefront_sensor."]].concat());
     }
 }
 

@@ -23,11 +23,11 @@ fn bad_pixels_are_masked_and_counted() {
     let (json, err) = desk.estimates_well("odd.fits", &["--mask", "mask.fits"]);
     assert_eq!(json["status"], "ok");
     assert_eq!(err.lines().count(), 1, "{err}");
-    assert!(err.contains("odd.fits: 2 pixels are not finite and were masked"), "{err}");
+    assert!(err.contains("odd.fits: 2 pixels are not finite"), "{err}");
     // A pixel that the mask has needs no remark.
     desk.edit_images("odd.fits", "known.fits", |images| images[[0, 50, 50]] = f64::NAN);
     let (_, err) = desk.estimates_well("known.fits", &["--mask", "mask.fits"]);
-    assert!(err.contains("known.fits: 2 pixels are not finite and were masked"), "{err}");
+    assert!(err.contains("known.fits: 2 pixels are not finite"), "{err}");
     // Marked pixels need not be found; unmarked they ruin the fit, which finds them. Either way five take no part.
     let counts = || {
         let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
@@ -108,8 +108,10 @@ fn a_plate_scale_that_is_five_or_ten_per_cent_wrong_is_named() {
     };
     for wrong in ["1.8", "1.9", "2.1", "2.2"] {
         let err = read("images.fits", wrong);
-        let sentence = "the plate scale: with image.samples_per_lambda_over_d = ";
-        let found = err.split(sentence).nth(1).unwrap_or_else(|| panic!("{wrong}: {err}"));
+        let found = err
+            .split("plate scale: with image.samples_per_lambda_over_d = ")
+            .nth(1)
+            .unwrap_or_else(|| panic!("{wrong}: {err}"));
         let scale: f64 = found.split_whitespace().next().unwrap().parse().unwrap();
         assert!((scale - 2.0).abs() < 0.002 && found.contains(&format!("in place of {wrong}")), "{wrong}: {err}");
     }
@@ -136,7 +138,7 @@ fn a_saturated_detector_and_a_second_star_are_named() {
         images.mapv_inplace(|e| e.min(0.5 * most));
     });
     let err = read("saturated.fits");
-    assert!(err.contains("likely cause") && err.contains("the detector is saturated"), "{err}");
+    assert!(err.contains("likely cause") && err.contains("saturated"), "{err}");
     // A star of a third of the flux, 9 pixels along x and 4 along y away.
     desk.edit_images("images.fits", "double.fits", |images| {
         let star = images.clone();
@@ -161,11 +163,11 @@ fn changing_images_are_recognised_and_given_their_method() {
     // The small mirror has fewer modes than a modal estimate fits by default.
     let modal = ["--method", "modal", "--set", "modes.ncpa=zernike", "--set", "modes.ncpa_count=14"];
     let err = estimate(&modal).err;
-    assert!(err.contains("the images change from one to the next") && err.contains("--method full-phase"), "{err}");
+    assert!(err.contains("images change") && err.contains("--method full-phase"), "{err}");
     assert!(!err.contains("scene differs from the instrument"), "{err}");
     let done = estimate(&["--method", "auto"]);
-    assert!(done.out.contains("chose \"full-phase\": the images change"), "{}", done.out);
-    assert!(!done.err.contains("the images change"), "{}", done.err);
+    assert!(done.out.contains("chose \"full-phase\"") && done.out.contains("images change"), "{}", done.out);
+    assert!(!done.err.contains("images change"), "{}", done.err);
     let method = FitsReader::open(desk.path("est.fits")).unwrap().card(None, "METHOD").unwrap().unwrap();
     assert_eq!(method.text(), Some("full-phase"));
 }
@@ -174,7 +176,7 @@ fn changing_images_are_recognised_and_given_their_method() {
 fn a_truth_on_another_grid_is_left_out_of_the_table() {
     let desk = Desk::with_images(&[]);
     let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "pupil.samples=80"]);
-    assert!(done.err.contains("the truth of these images is not shown") && done.err.contains("64x64"), "{}", done.err);
+    assert!(done.err.contains("truth") && done.err.contains("not shown") && done.err.contains("64x64"), "{}", done.err);
     assert!(done.out.contains("phasing") && !done.out.contains("residual"), "{}", done.out);
 }
 

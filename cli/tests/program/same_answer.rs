@@ -235,7 +235,7 @@ fn frames_with_one_row_and_one_column_more() {
     odd.slice_mut(s![.., ..rows, ..columns]).assign(&case.images_e);
     case.images_e = odd;
     let found = case.is_the_same_everywhere();
-    assert!(found.remarks[0].starts_with("The last row and the last column were left out"), "{:?}", found.remarks);
+    assert!(["row", "column", "left out"].iter().all(|fact| found.remarks[0].contains(fact)), "{:?}", found.remarks);
     assert_eq!(found.coefficients_nm, even.coefficients_nm);
 }
 

@@ -8,7 +8,7 @@ fn a_setting_is_blamed_and_not_the_line_of_the_preset() {
     let image = ["image", "keck-artificial", "-o", "new.fits"];
     desk.refuses(
         &[&image[..], &["--set", "image.pixels=7"]].concat(),
-        &["keck-artificial, setting image.pixels: image.pixels = 7 is not accepted"],
+        &["keck-artificial", "setting image.pixels", "image.pixels = 7 "],
     );
     // Another key contradicts it: the line of that key, after the setting.
     std::fs::write(desk.path("crop.toml"), "[image]\nwavelength_nm = 2000\npixels = 128\ncrop_pixels = 96\n").unwrap();
@@ -37,7 +37,7 @@ fn a_truth_of_another_pupil_is_refused() {
     let desk = Desk::with_images(&[]);
     desk.succeeds(&["estimate", "images.fits", "-o", "est.fits"]);
     desk.succeeds(&["image", "scene.toml", "-o", "ring.fits", "--set", "pupil.central_obscuration_m=1.0"]);
-    desk.refuses(&["compare", "est.fits", "--truth", "ring.fits"], &["ring.fits", "the true phasing has no value at"]);
+    desk.refuses(&["compare", "est.fits", "--truth", "ring.fits"], &["ring.fits", "true phasing", "no value"]);
 }
 
 /// The figure above a map is that of the report, and an estimate that is not sound says so on its picture.

@@ -45,12 +45,9 @@ fn slopes_in_a_file_of_their_own_are_those_beside_the_images() {
         let arguments = estimate("bare.fits", more);
         desk.refuses(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), words);
     };
-    let rows =
-        format!("short.fits: has slopes of {} exposures: a row for each of {}", images.dim().0 - 1, images.dim().0);
-    refuses(&["--slopes", "short.fits"], &[&rows]);
-    refuses(
-        &["--slopes", "K=wfs.fits"],
-        &["--slopes names the channel K, which has no images", "without a channel's name"],
-    );
+    let (given, needed) =
+        (format!("slopes of {} exposures", images.dim().0 - 1), format!("each of {}", images.dim().0));
+    refuses(&["--slopes", "short.fits"], &["short.fits", &given, &needed]);
+    refuses(&["--slopes", "K=wfs.fits"], &["--slopes", "channel K", "no images", "without a channel's name"]);
     refuses(&["--slopes", "missing.fits"], &["missing.fits"]);
 }

@@ -20,17 +20,11 @@ fn fitted_optics_are_reported_and_written() {
     assert!(done.out.contains("image.samples_per_lambda_over_d = 2.01"), "{}", done.out);
     assert!(done.out.contains("(the scene says 2)"), "{}", done.out);
     // Zernikes hold the focus.
-    assert!(
-        done.out.contains("image.diversity_focus_waves_rms = 1 (the scene says 1): not identifiable"),
-        "{}",
-        done.out
-    );
-    assert!(
-        done.err
-            .contains("estimate.fit_optics names \"defocus\", which these images do not distinguish from the modes"),
-        "{}",
-        done.err
-    );
+    let unidentifiable = |line: &str| {
+        ["image.diversity_focus_waves_rms = 1 ", "not identifiable"].iter().all(|fact| line.contains(fact))
+    };
+    assert!(done.out.lines().any(unidentifiable), "{}", done.out);
+    assert!(["estimate.fit_optics", "\"defocus\""].iter().all(|fact| done.err.contains(fact)), "{}", done.err);
     let path = desk.path("est.fits");
     let mut file = FitsReader::open(&path).unwrap();
     let number = |file: &mut FitsReader, column: &str| file.f64_column("OPTICS", column).unwrap();
@@ -106,7 +100,8 @@ fn the_table_shows_the_residuals_that_compare_shows() {
             assert!(row.ends_with(&format!(" {nm:.3}")), "{row} where {nm} is compared");
         }
     }
-    assert!(out.contains("1 of 1 image used, 21 modes (7 of the segments, 14 of the NCPA)"), "{out}");
+    let counts = ["1 of 1 image", "21 modes", "7 of the segments", "14 of the NCPA"];
+    assert!(counts.iter().all(|fact| out.contains(fact)), "{out}");
     assert!(out.contains("global piston"), "{out}");
     assert!(std::fs::read_to_string(desk.path("est.svg")).unwrap().starts_with("<svg"));
 }
@@ -244,7 +239,8 @@ fn pupil_averaged_by_default_is_reported() {
     desk.succeeds(&["image", "pupil.toml", "-o", "images.fits"]);
     let said = |more: &[&str]| {
         let estimate = ["estimate", "images.fits", "--scene", "pupil.toml", "-o", "est.fits"];
-        desk.succeeds(&[&estimate[..], more].concat()).out.contains("240 samples a side, which are averaged to 120")
+        let out = desk.succeeds(&[&estimate[..], more].concat()).out;
+        out.contains("240 samples") && out.contains("averaged to 120")
     };
     assert!(said(&[]) && !said(&["--set", "pupil.samples=240"]));
 }
@@ -289,8 +285,8 @@ fn the_numbering_of_a_scene_is_drawn_in_place_of_its_text() {
     let [first, second] = drawn.out.lines().collect::<Vec<_>>()[..] else { panic!("{}", drawn.out) };
     assert_eq!((first, drawn.err.as_str()), ("pupil.png: 7 segments, 0 to 6", ""));
     // The spot of one wave at 2 pixels per λ/D: 32√3 pixels.
-    let ends = "; defocus 1.000 waves RMS (2000 nm), a spot some 55 of 64 pixels wide";
-    assert!(second.starts_with("2.000 pixels per λ/grid_m (") && second.ends_with(ends), "{second}");
+    let facts = ["2.000 pixels per λ/grid_m", "1.000 waves RMS (2000 nm)", "55 of 64 pixels"];
+    assert!(facts.iter().all(|fact| second.contains(fact)), "{second}");
     assert_eq!(desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png", "--quiet"]).out, "");
     let png = std::fs::read(desk.path("pupil.png")).unwrap();
     assert!(png.starts_with(b"\x89PNG"));
@@ -358,7 +354,7 @@ fn sequence_reports_its_combination() {
     assert_eq!(json["combine"], "clipped-mean");
     let out = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "estimate.combine=median"]).out;
     assert!(out.contains("median of 9 of 9 images"), "{out}");
-    assert!(out.contains("Error bars from the scatter between images"), "{out}");
+    assert!(out.contains("scatter between images"), "{out}");
     let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
     assert_eq!(file.i64_column("IMAGES", "USED").unwrap(), [1; 9]);
 }

@@ -94,7 +94,7 @@ fn unmeasurable_cases_are_named() {
     let desk = Desk::with_scene();
     for (options, words) in [
         (vec!["--pixels", "63"], "'63' pixels"),
-        (vec!["--optimizer", "bfgs"], "'bfgs' has no session: gauss-newton or paper"),
+        (vec!["--optimizer", "bfgs"], "gauss-newton or paper"),
         (vec!["--batch", "0"], "'0' images: 1 to 65536"),
         (vec!["--precision", "f16"], "f32 or f64"),
         (vec!["--device", "cuda"], "auto, cpu, all, opencl or opencl:P:D"),

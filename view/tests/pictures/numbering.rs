@@ -83,5 +83,5 @@ fn no_number_stops_a_picture_and_other_maps_are_refused() {
     let refused = sentence(NumberingPicture { amplitude: array![[1.0]], ..halves() });
     assert!(refused.contains("(1, 1)") && refused.contains("4 by 4"), "{refused}");
     let refused = sentence(NumberingPicture { width_m: f64::NAN, ..halves() });
-    assert_eq!(refused, "the pupil map is NaN m wide: a positive width is needed");
+    assert!(["pupil map", "NaN m", "positive width"].iter().all(|fact| refused.contains(fact)), "{refused}");
 }

@@ -422,37 +422,33 @@ fn picture_replaces_the_old_one_and_leaves_no_temporary_file() {
 #[test]
 fn errors_name_the_cause_in_one_sentence() {
     let sentence = |outcome: cophase::Result<()>| outcome.unwrap_err().to_string();
-    let wrong = sentence(curves().draw("curve.jpg"));
-    assert_eq!(wrong, "curve.jpg: a picture with extension `jpg` is unknown: name it .png or .svg");
+    let has_facts = |outcome: cophase::Result<()>, facts: &[&str]| {
+        let sentence = sentence(outcome);
+        assert!(facts.iter().all(|fact| sentence.contains(fact)), "{facts:?}: {sentence}");
+    };
+    has_facts(curves().draw("curve.jpg"), &["curve.jpg", "extension `jpg`", ".png or .svg"]);
     assert!(sentence(curves().draw("curve")).contains("no extension"));
     let nowhere = sentence(curves().draw(folder().join("absent/curve.png")));
     assert!(nowhere.contains("absent/curve.png: its directory") && nowhere.contains("does not exist"), "{nowhere}");
 
     let mut picture = demonstration(true);
     picture.bars.sigma_nm.pop();
-    assert_eq!(
-        sentence(picture.draw("a.png")),
-        "the modal bars have 60 names but 59 entries in `sigma_nm`: every list needs one entry a mode"
-    );
+    has_facts(picture.draw("a.png"), &["modal bars", "60 names", "59 entries", "`sigma_nm`"]);
     let mut picture = demonstration(true);
     picture.ncpa.truth = Some(Array2::zeros((3, 3)));
-    assert_eq!(
-        sentence(picture.draw("a.png")),
-        "the NCPA truth map is (3, 3) where the estimate is (256, 256): the maps of one picture need one shape"
-    );
+    has_facts(picture.draw("a.png"), &["NCPA truth", "(3, 3)", "estimate", "(256, 256)"]);
     let mut picture = demonstration(true);
     picture.phasing.width_m = 0.0;
-    assert_eq!(sentence(picture.draw("a.png")), "the phasing map is 0 m wide: a positive width is needed");
+    has_facts(picture.draw("a.png"), &["phasing map", "0 m wide", "positive width"]);
 
     let mut maps = lone_map(Array2::zeros((2, 2)), MapScale::Diverging);
     maps.columns = 0;
-    assert_eq!(sentence(maps.draw("a.png")), "0 columns of maps do not fit a page: 1 to 8 do");
+    has_facts(maps.draw("a.png"), &["0 columns", "1 to 8"]);
     maps.columns = 1;
     maps.maps = vec![maps.maps[0].clone(); 40];
-    assert!(sentence(maps.draw("a.png")).starts_with("40 maps in 1 columns need a page"));
+    has_facts(maps.draw("a.png"), &["40 maps", "1 columns", "page"]);
 
     let series = Series { label: "short".into(), x: vec![1.0], ..Default::default() };
     let picture = CurvePicture { series: vec![series], ..Default::default() };
-    let expected = "the series `short` has 1 x, 0 y and 0 y_err: each list needs one entry a point";
-    assert_eq!(sentence(picture.draw("a.png")), expected);
+    has_facts(picture.draw("a.png"), &["series `short`", "1 x", "0 y ", "0 y_err"]);
 }
