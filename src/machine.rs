@@ -149,10 +149,8 @@ mod tests {
     fn the_refusal_has_both_figures_and_the_bound() {
         let available = Available { bytes: 3 << 30, bound: "the limit of its control group" };
         let sentence = refusal("truth_samples = 16384", 30 << 30, available, "lower it");
-        assert_eq!(
-            sentence,
-            "truth_samples = 16384 would take 30.0 GiB of memory, where the limit of its control group leaves 3.0 GiB: lower it"
-        );
+        let facts = ["truth_samples = 16384", "30.0 GiB", "the limit of its control group", "3.0 GiB", "lower it"];
+        assert!(facts.iter().all(|fact| sentence.contains(fact)), "{sentence}");
         assert_eq!(gib(5 << 20), "5.0 MiB");
         assert!(check_memory("nothing", 0, "").is_ok());
         assert!(available_now_is_sane());

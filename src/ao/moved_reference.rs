@@ -171,6 +171,6 @@ mod tests {
         let telescope = Telescope::new(&scene).unwrap();
         let truth = Truth::draw(&scene, &telescope, &mut stream(3, 0)).unwrap();
         let error = Simulator::with_moved_reference(&scene, telescope, truth, &[1.0]).err().unwrap().to_string();
-        assert!(error.starts_with("1 reference slopes were given for a sensor of"), "{error}");
+        assert!(error.contains("1 reference slopes") && error.contains("sensor of"), "{error}");
     }
 }

@@ -285,11 +285,12 @@ mod tests {
         for count in [usize::MAX, usize::MAX / 16, 1 << 50] {
             let many = cophase_input { count, count_stride: 0, ..good };
             let sentence = unsafe { Input::new(&many, "frames") }.unwrap().cube().unwrap_err().to_string();
-            assert!(sentence.ends_with("as many elements as memory holds are accepted"), "{sentence}");
+            assert!(sentence.contains("elements") && sentence.contains("memory"), "{sentence}");
         }
         // An extent of 1 has no stride.
         assert!(unsafe { Input::new(&cophase_input { count: 1, count_stride: isize::MIN, ..good }, "frames") }.is_ok());
         let wrong = unsafe { Input::new(&good, "frames") }.unwrap().must_be([2, 4, 3]).unwrap_err().to_string();
-        assert_eq!(wrong, "frames is 2 x 3 x 4 (count x rows x cols): 2 x 4 x 3 is accepted");
+        let facts = ["frames is 2 x 3 x 4", "count x rows x cols", "2 x 4 x 3"];
+        assert!(facts.iter().all(|fact| wrong.contains(fact)), "{wrong}");
     }
 }

@@ -259,17 +259,17 @@ mod tests {
         for (text, expected) in [
             ("0 a\n", "line 1: 2 columns"),
             ("0 a 1 2 3\n", "line 1: 5 columns"),
-            ("#\n2 a 1\n", "line 2: there is no segment 2; 0 to 1 are accepted"),
-            ("-1 a 1\n", "there is no segment -1"),
-            ("0 a one\n", "line 1: 'one' is not a finite number; the number of units per nm is needed"),
-            ("0 a 0\n", "0 units per nm move nothing"),
+            ("#\n2 a 1\n", "line 2 | no segment 2 | 0 to 1"),
+            ("-1 a 1\n", "no segment -1"),
+            ("0 a one\n", "line 1 | 'one' | finite number | units per nm"),
+            ("0 a 0\n", "0 units per nm"),
             ("0 a 1 -3\n", "a limit of -3"),
-            ("0 a 1\n1 a 1\n", "line 2: the channel a is there twice"),
-            ("0 a 1\n", "no channel has the segment 1; each of 0 to 1 needs one"),
-            ("", "no channel has the segment 0"),
+            ("0 a 1\n1 a 1\n", "line 2 | channel a | twice"),
+            ("0 a 1\n", "no channel | segment 1 | 0 to 1"),
+            ("", "no channel | segment 0"),
         ] {
             let reason = parse(text, 2, "segment").err().unwrap();
-            assert!(reason.contains(expected), "{text:?}: {reason}");
+            assert!(expected.split(" | ").all(|fact| reason.contains(fact)), "{text:?}: {reason}");
         }
     }
 }

@@ -86,6 +86,6 @@ mod tests {
             }
         }
         let sentence = surface.check(&segments_nm[..2 * count]).unwrap_err().to_string();
-        assert!(sentence.contains("14 segment coefficients were given: 7 pistons"), "{sentence}");
+        assert!(["14 segment coefficients", "7 pistons"].iter().all(|fact| sentence.contains(fact)), "{sentence}");
     }
 }

@@ -126,6 +126,7 @@ mod tests {
         assert!(refused(maps(0.0, 1.0), 1.0, f64::NAN).starts_with("saturation is NaN:"));
         assert!(refused(maps(0.0, -1.0), 1.0, 1.0).contains("no good pixel"));
         let turned = CameraMaps { flat: Some(Array2::ones((3, 2))), ..CameraMaps::default() };
-        assert_eq!(refused(turned, 1.0, 1.0), "the flat has 2x3 pixels: 3x2 is accepted, the shape of a frame");
+        let turned = refused(turned, 1.0, 1.0);
+        assert!(["flat", "has 2x3 pixels", "3x2"].iter().all(|fact| turned.contains(fact)), "{turned}");
     }
 }

@@ -246,7 +246,8 @@ mod tests {
             |cube: &Array3<f64>, width_m| MeasuredInfluence::of_each(cube.view(), width_m).unwrap_err().to_string();
         let mut gap = good.clone();
         gap[[1, 2, 3]] = f64::NAN;
-        assert!(sentence(&gap, 1.0).contains("of actuator 1 is NaN at row 2, column 3: finite values are needed"));
+        let gap = sentence(&gap, 1.0);
+        assert!(["actuator 1", "NaN", "row 2, column 3", "finite"].iter().all(|fact| gap.contains(fact)), "{gap}");
         let mut dead = good.clone();
         dead.slice_mut(s![0, .., ..]).fill(0.0);
         assert!(sentence(&dead, 1.0).contains("of actuator 0 is 0 everywhere"));

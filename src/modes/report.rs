@@ -232,7 +232,7 @@ mod tests {
         let report = Degeneracy::from_matrix(&gram, &names, WEAK_BELOW).unwrap();
         let descriptions: Vec<&str> = report.null.iter().map(|direction| direction.description.as_str()).collect();
         assert_eq!(descriptions.len(), 3, "{report}");
-        assert_eq!(descriptions[0], "all 3 segment pistons together (global piston)");
+        assert!(descriptions[0].contains("3 segment pistons") && descriptions[0].contains("global piston"), "{report}");
         assert!(descriptions.contains(&"1.00 kl-02"), "{report}");
         assert!(
             descriptions.contains(&"0.71 kl-00 − 0.71 kl-01") || descriptions.contains(&"0.71 kl-01 − 0.71 kl-00"),
@@ -246,10 +246,8 @@ mod tests {
         }
         // Twice the same mode: √2, within the rounding of a 6×6 eigenproblem.
         assert!((report.singular_values[0] - 2f64.sqrt()).abs() < 1e-12);
-        assert!(
-            report.to_string().starts_with("3 of 6 directions are determined, with singular values 1.41 to "),
-            "{report}"
-        );
+        let text = report.to_string();
+        assert!(text.starts_with("3 of 6 directions") && text.contains("singular values 1.41 to "), "{text}");
     }
 
     #[test]
@@ -261,7 +259,7 @@ mod tests {
         assert_eq!(report.weak.len(), 1);
         assert!((report.weak[0].singular_value - 0.005f64.sqrt()).abs() < 1e-12);
         let text = report.to_string();
-        assert!(text.contains("Weakly determined (singular value 0.07): 0.71 "), "{text}");
+        assert!(["Weakly", "singular value 0.07", ": 0.71 "].iter().all(|fact| text.contains(fact)), "{text}");
         // In the modes' own units the second coefficient is a third of the first.
         let c = &report.weak[0].coefficients;
         assert!((c[1] / c[0] + 1.0 / 3.0).abs() < 1e-12, "{c:?}");

@@ -83,15 +83,15 @@ mod tests {
         assert_eq!(read("9 4\n2 5\n", &[2, 9]).unwrap(), [5.0, 4.0]);
         assert_eq!(read("0 4\n1 5\n", &[2, 9]).unwrap(), [4.0, 5.0]);
         for (text, labels, expected) in [
-            ("0 1\n", &[0, 1], "segment 1 is missing: each of 0 to 1 is needed once"),
-            ("0 1\n0 2\n1 1\n", &[0, 1], "segment 0 is there twice"),
-            ("1 1\n2 1\n", &[0, 1], "there is no segment 2: each of 0 to 1 is needed once"),
-            ("1 1\n2 1\n", &[2, 9], "there is no segment 2: each of 0 to 1, or the labels 2 to 9, is needed once"),
-            ("0 1 2\n", &[0, 1], "line 1: a segment's number or label"),
-            ("0 x\n", &[0, 1], "line 1: 'x' is not a finite number; a piston in nm is needed"),
+            ("0 1\n", &[0, 1], "segment 1 is missing | 0 to 1"),
+            ("0 1\n0 2\n1 1\n", &[0, 1], "segment 0 | twice"),
+            ("1 1\n2 1\n", &[0, 1], "no segment 2 | 0 to 1"),
+            ("1 1\n2 1\n", &[2, 9], "no segment 2 | 0 to 1 | labels 2 to 9"),
+            ("0 1 2\n", &[0, 1], "line 1 | number or label"),
+            ("0 x\n", &[0, 1], "line 1 | 'x' | finite number | nm"),
         ] {
             let reason = read(text, labels).unwrap_err();
-            assert!(reason.contains(expected), "{text:?}: {reason}");
+            assert!(expected.split(" | ").all(|fact| reason.contains(fact)), "{text:?}: {reason}");
         }
     }
 }

@@ -247,16 +247,16 @@ flux_e = 1e6
     #[test]
     fn mistakes_are_named() {
         for (from, to, expected) in [
-            ("name = \"plus\"", "name = \"2\"", "two channels are named '2'"),
+            ("name = \"plus\"", "name = \"2\"", "two channels | '2'"),
             ("name = \"plus\"", "name = 3", "image.channel.name = 3"),
-            ("name = \"plus\"", "nam = \"plus\"", "unknown key 'image.channel.nam'; did you mean 'name'?"),
-            ("flux_e = 1e6", "simultaneous = true", "it belongs in [image]"),
+            ("name = \"plus\"", "nam = \"plus\"", "unknown key | 'image.channel.nam' | 'name'"),
+            ("flux_e = 1e6", "simultaneous = true", "[image]"),
             ("flux_e = 1e6", "pixels = 7", "image.pixels = 7"),
             ("flux_e = 1e6", "flux_e = 1e6\npeak_snr = 50", "both given"),
             ("flux_e = 1e6", "name = \"a=b\"", "without '='"),
         ] {
             let error = parse(&text().replace(from, to)).unwrap_err().to_string();
-            assert!(error.contains(expected), "{to}: {error}");
+            assert!(expected.split(" | ").all(|fact| error.contains(fact)), "{to}: {error}");
         }
         let error = parse("[image]\nwavelength_nm = 2000.0\npixels = 64\nchannel = 3\n").unwrap_err().to_string();
         assert!(error.contains("write [[image.channel]]"), "{error}");

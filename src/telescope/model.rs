@@ -383,7 +383,8 @@ mod tests {
             Err(Error::Value(sentence)) => sentence,
             other => panic!("{other:?}"),
         };
-        assert_eq!(refused(vec![1.0; 5]), "5 amplitudes were given for 6 segments; one each is needed");
+        let few = refused(vec![1.0; 5]);
+        assert!(few.contains("5 amplitudes") && few.contains("6 segments"), "{few}");
         for (bad, word) in [(0.0, "0"), (-1.0, "-1"), (f64::NAN, "NaN"), (f64::INFINITY, "inf")] {
             let mut amplitudes = vec![1.0; 6];
             amplitudes[4] = bad;
