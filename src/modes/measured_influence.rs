@@ -250,7 +250,8 @@ mod tests {
         assert!(["actuator 1", "NaN", "row 2, column 3", "finite"].iter().all(|fact| gap.contains(fact)), "{gap}");
         let mut dead = good.clone();
         dead.slice_mut(s![0, .., ..]).fill(0.0);
-        assert!(sentence(&dead, 1.0).contains("of actuator 0 is 0 everywhere"));
+        let dead = sentence(&dead, 1.0);
+        assert!(dead.contains("actuator 0") && dead.contains("0 everywhere"), "{dead}");
         assert!(sentence(&good, 0.0).contains("0 m apart are impossible"));
         assert!(sentence(&Array3::zeros((2, 4, 5)), 1.0).contains("5x4 samples"));
         assert!(MeasuredInfluence::common(good.slice(s![0, .., ..]), f64::NAN).is_err());

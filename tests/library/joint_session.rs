@@ -1,6 +1,7 @@
 //! Sessions of several channels.
 
 use crate::channels::{COLOURS, PAIR, with_channels};
+use crate::common::assert_facts;
 use cophase::Error;
 use cophase::modal::{FitOptions, JointSession, SessionOptions, Status};
 use cophase::optimize::StopReason;
@@ -141,11 +142,11 @@ fn deadlines_cancels_and_frames_of_no_use() {
 fn scenes_without_a_joint_session_are_refused_with_the_reason() {
     let refused = |scene: &Scene, words: &str| {
         let error = JointSession::new(scene, &SessionOptions::default()).err().unwrap().to_string();
-        assert!(error.contains(words), "{error}");
+        assert_facts(&error, words);
     };
-    refused(&crate::consistency::scene(&[]), "needs a scene with [[image.channel]]");
+    refused(&crate::consistency::scene(&[]), "[[image.channel]]");
     let focus = format!("{PAIR}[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n");
-    refused(&with_channels(&focus, &[]), "the channel 'focus' is in focus");
+    refused(&with_channels(&focus, &[]), "channel 'focus' | in focus");
     refused(&with_channels(PAIR, &[("estimate.weighting", "none")]), "estimate.weighting = \"noise\"");
     refused(&with_channels(PAIR, &[("estimate.fit_optics", "[\"defocus\"]")]), "estimate.fit_optics");
     let two = SessionOptions { capacity: 2, ..SessionOptions::default() };

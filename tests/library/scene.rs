@@ -275,22 +275,26 @@ fn contradictions_are_refused() {
         ("keck-artificial", &[("pupil.rings", "4")], "14.05"),
         ("keck-artificial", &[("pupil.rings", "0")], "leaves no segment"),
         ("keck-artificial", &[("pupil.central_obscuration_m", "11")], "hides the whole pupil"),
-        ("keck-artificial", &[("pupil.band_pass_cycles", "60")], "less than half of samples = 120"),
+        ("keck-artificial", &[("pupil.band_pass_cycles", "60")], "band_pass_cycles = 60 | samples = 120"),
         (
             "keck-artificial",
             &[("pupil.band_pass_cycles", "50"), ("pupil.band_stop_cycles", "40")],
             "band_stop_cycles = 40",
         ),
-        ("keck-artificial", &[("pupil.band_pass_cycles", "50"), ("pupil.model", "area")], "is not \"band-limited\""),
+        (
+            "keck-artificial",
+            &[("pupil.band_pass_cycles", "50"), ("pupil.model", "area")],
+            "'pupil.band_pass_cycles' | \"band-limited\"",
+        ),
         ("keck-artificial", &[("aberrations.truth_samples", "100")], "pupil.samples = 120"),
-        ("keck-artificial", &[("aberrations.ncpa_zernikes", "[18, 4]")], "first not after last"),
+        ("keck-artificial", &[("aberrations.ncpa_zernikes", "[18, 4]")], "ncpa_zernikes = [18, 4] | [first, last]"),
         ("keck-artificial", &[("aberrations.ncpa_zernikes", "[0, 4]")], "ncpa_zernikes = [0, 4]"),
         (
             "keck-artificial",
             &[("aberrations.ncpa_file", "n.fits"), ("aberrations.ncpa_rms_nm", "70")],
             "'aberrations.ncpa_rms_nm' | no meaning",
         ),
-        ("keck-artificial", &[("modes.ncpa", "none"), ("modes.segment", "none")], "no mode is left to estimate"),
+        ("keck-artificial", &[("modes.ncpa", "none"), ("modes.segment", "none")], "no mode"),
         ("keck-artificial", &[("mirror.coupling", "1")], "above 0 and below 1"),
         ("keck-onsky", &[("turbulence.wind_m_s", "[6.8]")], "turbulence.wind_m_s has 1 | turbulence.fractions has 7"),
         ("keck-onsky", &[("turbulence.fractions", "[0.5, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05]")], "sum to 0.9500"),
@@ -313,13 +317,9 @@ fn contradictions_are_refused() {
         assert_facts(&message, facts);
         assert!(message.starts_with(preset) && !message.contains('\n'), "{settings:?}: {message}");
     }
-    assert!(
-        refusal(&format!("{SMALLEST}[faults]\ndrift_nm_per_min = 1")).ends_with("a section [aberrations] is needed")
-    );
-    assert!(
-        refusal("[pupil]\nfile = \"p.fits\"\n[image]\nwavelength_nm = 2000\npixels = 8")
-            .contains("'pupil.grid_m' is missing")
-    );
+    assert_facts(&refusal(&format!("{SMALLEST}[faults]\ndrift_nm_per_min = 1")), "[aberrations]");
+    let without_grid = "[pupil]\nfile = \"p.fits\"\n[image]\nwavelength_nm = 2000\npixels = 8";
+    assert_facts(&refusal(without_grid), "'pupil.grid_m' | missing");
 }
 
 #[test]

@@ -146,7 +146,7 @@ fn several_devices_make_the_bits_of_one_or_a_status() {
     }
     let before = desk.files();
     // While the chains are made, and in the midst of the fits.
-    for (fault, words) in [("lost:1", "no device can run this model"), ("lost:120", "all devices have failed")] {
+    for (fault, words) in [("lost:1", "no device can run"), ("lost:120", "all devices have failed")] {
         let done = estimate("all", fault, &[]);
         assert!(done.status == 1 && done.err.contains(words), "{fault}: {}", done.err);
     }

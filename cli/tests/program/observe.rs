@@ -21,12 +21,9 @@ fn recommended_observation_is_written_as_a_readable_scene() {
 fn unreachable_budgets_and_unplannable_scenes_are_refused() {
     let desk = Desk::with_scene();
     let words = ["plan", "scene.toml", "--observe", "--budget-nm", "1e-6"];
-    desk.refuses(
-        &[&words[..], &["-o", "observe.toml"]].concat(),
-        &["no observation reaches 0.000001 nm", "observe.toml"],
-    );
+    desk.refuses(&[&words[..], &["-o", "observe.toml"]].concat(), &["no observation", "0.000001 nm", "observe.toml"]);
     assert!(!desk.path("observe.toml").exists());
-    assert!(desk.succeeds(&words).err.contains("no observation that was tried"));
+    assert!(desk.succeeds(&words).err.contains("no observation"));
     desk.refuses(&["plan", "keck-onsky", "--observe", "--budget-nm", "1"], &["behind an AO loop"]);
     desk.refuses(
         &["plan", "scene.toml", "--observe", "--budget-nm", "1", "--wavelengths-nm", "0"],

@@ -178,7 +178,7 @@ fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
         (&"orientation".into(), &serde_json::json!({"image.flip_x": "true"})),
         "{json}"
     );
-    desk.refuses(&[&check[..], &["--segment", "0"]].concat(), &["do not show the poke of segment 0"]);
+    desk.refuses(&[&check[..], &["--segment", "0"]].concat(), &["do not show", "poke of segment 0"]);
     desk.refuses(&[&check[..], &["--segment", "7"]].concat(), &["segment 7", "0 to 6"]);
     assert_eq!(desk.run(&check).status, 2);
     // An image alone says that it does not determine its orientation, once.

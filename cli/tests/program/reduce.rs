@@ -245,7 +245,7 @@ fn bad_input_is_refused() {
         (&["raw", "--pixels", "300"], &["n1.fits", "edge of the frame"]),
         (&["raw/n1.fits", "d2.fits", "--saturation", "1"], &["saturated"]),
         (&["raw/n1.fits", "d2.fits"], &["no dark of 0.5 s", "of 3 s"]),
-        (&["raw", "--mask", "mask.fits"], &["the mask has 64x64 pixels", "200x200"]),
+        (&["raw", "--mask", "mask.fits"], &["mask has 64x64", "200x200"]),
     ] {
         desk.refuses(&[&["reduce"], arguments, &base].concat(), words);
     }
@@ -303,7 +303,7 @@ fn a_first_scene_is_made_of_a_header() {
     ]);
     // Nothing is known of a bare file, and a scene all the same.
     let bare = desk.succeeds(&["scene", "--from", "images.fits"]).out;
-    assert!(bare.contains("TELESCOP = '' is not known"), "{bare}");
+    assert!(bare.contains("TELESCOP = ''"), "{bare}");
     for section in bare.split("\n[").skip(1) {
         assert!(section.contains("TO BE FILLED IN"), "{section}");
     }

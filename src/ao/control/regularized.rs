@@ -376,7 +376,7 @@ mod tests {
         let blind = Array2::zeros(bench.interaction.dim());
         let backwards: Vec<usize> = bench.mirror.1.iter().rev().copied().collect();
         for (plant, reason) in [
-            (Plant { actuator_grid: None, ..plant }, "needs the places of the actuators"),
+            (Plant { actuator_grid: None, ..plant }, "places of the actuators"),
             (Plant { actuator_grid: Some((bench.mirror.0, &backwards)), ..plant }, "ascending"),
             (Plant { interaction: &blind, ..plant }, "interaction matrix is 0"),
         ] {

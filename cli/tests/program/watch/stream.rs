@@ -232,7 +232,7 @@ fn a_stream_that_is_made_anew_is_followed_with_another_size_too() {
         ["done", "refused", "done", "done"]
     );
     assert!(["48x48", "64x64"].iter().all(|fact| found[1].1.contains(fact)), "{found:?}");
-    assert!(events(&state).iter().any(|(_, sentence)| sentence.contains("was made anew, of 48x48 pixels")));
+    assert!(events(&state).iter().any(|(_, sentence)| sentence.contains("made anew") && sentence.contains("48x48")));
 }
 
 fn has_events(state: &Path) -> bool {
