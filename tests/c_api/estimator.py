@@ -43,7 +43,7 @@ def refusals(scene, estimator, frames, slopes_mas):
     bad = failure(lambda: estimator.estimate(frames, slopes_mas=slopes_mas[:, 1:]), cophase.BadShapeError)
     assert f"{slopes_mas.shape[1] - 1} slopes" in str(bad), bad
     bad = failure(lambda: estimator.estimate(frames, slopes_mas=-slopes_mas), cophase.BadValueError)
-    assert "the slopes have the opposite sign" in str(bad) and "set estimate.telemetry of the scene" in str(bad), bad
+    assert "opposite sign" in str(bad) and "estimate.telemetry" in str(bad), bad
     assert "--" not in str(bad), bad
     wrong = [
         ({"slopes_mas": slopes_mas[1:]}, cophase.BadShapeError),

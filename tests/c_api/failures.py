@@ -80,7 +80,7 @@ def scenes_by_name(path, scene):
         assert recipe[0] == scene and recipe[-1] == folder
         for take in takers:
             error = failure(lambda: take(os.path.join(folder, "no.toml")), cophase.BadFileError)
-            assert "no.toml: there is no such file of a scene" in str(error) and "keck-artificial" in str(error), error
+            assert "no.toml" in str(error) and "no such file" in str(error) and "keck-artificial" in str(error), error
             assert "raw.fits: is not a text" in str(failure(lambda: take(raw), cophase.BadFileError))
             assert f"{folder}: " in str(failure(lambda: take(Path(folder)), cophase.BadFileError))
             error = failure(lambda: take("keck-artifical"), cophase.BadSceneError)
