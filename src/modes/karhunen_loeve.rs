@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn the_working_pupil_keeps_the_area_whatever_the_sampling() {
+    fn working_pupil_keeps_the_area_at_any_sampling() {
         for (n, size) in [(7, 120), (59, 120), (61, 61), (160, 160), (161, 120)] {
             let grid = Grid::new(n, 10.0).unwrap();
             let amplitude = Array2::from_shape_fn((n, n), |(y, x)| ((3 * x + 5 * y) % 7) as f64 / 6.0);

@@ -222,7 +222,7 @@ fn small_faults_are_flagged() {
 }
 
 #[test]
-fn a_warning_sets_the_exit_status_where_it_is_asked_for() {
+fn strict_sets_the_exit_status_for_a_warning() {
     // Without the search for larger models, which takes its time.
     let desk = Desk::with_images(&["estimate.model=scene"]);
     desk.add_companion("companion.fits", 0.03);

@@ -53,7 +53,7 @@ fn karhunen_loeve_modes_beyond_the_memory_are_refused() {
 /// At each limit the result is an estimate or one sentence, and never a signal. The loader itself needs some 200 MB of addresses in a
 /// build with debugging information.
 #[test]
-fn an_estimate_that_runs_out_of_memory_says_so() {
+fn estimate_out_of_memory_is_reported() {
     let desk = Desk::with_images(&["pupil.samples=128", "image.pixels=256"]);
     let arguments = ["estimate", "images.fits", "-o", "est.fits", "--device", "cpu", "--quiet"];
     let mut refused = 0;

@@ -3,7 +3,7 @@
 use crate::Desk;
 
 #[test]
-fn a_setting_is_blamed_and_not_the_line_of_the_preset() {
+fn wrong_setting_is_named_and_not_the_line_of_the_preset() {
     let desk = Desk::with_scene();
     let image = ["image", "keck-artificial", "-o", "new.fits"];
     desk.refuses(

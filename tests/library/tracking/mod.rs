@@ -82,7 +82,7 @@ fn the_rates_are_learnt() {
 }
 
 #[test]
-fn false_alarms_are_as_many_as_were_asked_for() {
+fn false_alarms_have_the_requested_rate() {
     for (dimension, steps, rate) in [(1, 2_000_000, 5e-5), (50, 100_000, 1e-3)] {
         let mut random = ChaCha8Rng::seed_from_u64(4);
         let threshold = change_threshold(dimension, [2, 16], rate);
@@ -109,7 +109,7 @@ fn false_alarms_are_as_many_as_were_asked_for() {
 }
 
 #[test]
-fn a_night_without_jumps_has_the_alarms_that_were_asked_for() {
+fn night_without_jumps_has_the_requested_alarm_rate() {
     let (asked, steps) = (40.0, (NIGHT_S / INTERVAL_S) as usize);
     let mut walk = Walk::correlated(36, 20, 9.0, 2);
     let mut tracker = Tracker::new(settings(36, asked)).unwrap();
