@@ -49,14 +49,15 @@ pub fn all() -> Vec<Block> {
 }
 
 /// Command lines of `program` within the sentences and tables of all pages, between backticks, but for those with placeholders
-/// (`[--row NAME]`, `TARGET`).
+/// (`[--row NAME]`, `TARGET`, `N`).
 pub fn inline_commands(program: &str) -> Vec<Block> {
     let of_text = |page: String| -> Vec<Block> {
         let text = std::fs::read_to_string(Path::new(ROOT).join(&page)).unwrap();
         // A fence is three backticks, so that what follows is between backticks and begins with its language.
         let spans = text.split('`').skip(1).step_by(2).map(|span| span.replace('\n', " "));
         let commands = spans.filter(|span| span.strip_prefix(program).is_some_and(|rest| rest.starts_with(' ')));
-        let whole = commands.filter(|span| !span.contains(['[', '<']) && !span.contains("TARGET"));
+        let is_placeholder = |word: &str| word.starts_with('[') || matches!(word, "TARGET" | "N" | "I/N");
+        let whole = commands.filter(|span| !span.split_whitespace().any(is_placeholder));
         let block = |text| Block { page: page.clone(), line: 0, language: "sh".into(), text, reason: None };
         whole.map(block).collect()
     };
