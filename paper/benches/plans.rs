@@ -1,4 +1,4 @@
-//! Is a budget kept, and what does it save? `cargo bench -p cophase-cli --bench plans [-- SCENES [BUDGET_NM]]`
+//! Is a budget kept, and what does it save? `cargo bench -p cophase-paper --bench plans [-- SCENES [BUDGET_NM]]`
 //!
 //! Random scenes of Keck (errors, star, defocus) are planned, and a wavefront that the planner has not seen is read by
 //! the plan and by the scene's own model in double precision.

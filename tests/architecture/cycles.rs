@@ -118,7 +118,7 @@ fn is_public(before: &[TokenTree]) -> bool {
 fn from_root(path: Vec<String>, module: &[&str]) -> Vec<String> {
     let ups = path.iter().take_while(|name| *name == "super" || *name == "self").collect::<Vec<_>>();
     match path[0].as_str() {
-        "cophase_cli" => ["crate".to_string()].into_iter().chain(path[1..].iter().cloned()).collect(),
+        "cophase_paper" => ["crate".to_string()].into_iter().chain(path[1..].iter().cloned()).collect(),
         "super" | "self" => {
             let depth = module.len().saturating_sub(ups.iter().filter(|name| **name == "super").count());
             let start = ["crate"].into_iter().chain(module[..depth].iter().copied()).map(String::from);

@@ -10,6 +10,7 @@ type Names = BTreeSet<String>;
 pub struct Module {
     /// The map shows it, the sources do not have it yet.
     pub to_come: bool,
+    /// Modules of the same package by their name, of another with its crate: `cophase_view::plot`.
     uses: Names,
 }
 
@@ -18,8 +19,6 @@ pub struct Module {
 #[derive(Debug, Default)]
 pub struct Rules {
     pub modules: BTreeMap<String, Module>,
-    /// Modules of any package.
-    known: Names,
     /// Places, and the modules that they may use besides those of their own module's row.
     exceptions: Vec<(Names, Names)>,
     /// Names from outside the crate, and the only places where they may stand.
@@ -39,34 +38,48 @@ fn lies_in(file: &str, place: &str) -> bool {
     if place.contains('/') { file.starts_with(place) } else { module_of(file) == place }
 }
 
+/// Whether `name` is that of a module of another package.
+fn is_foreign(name: &str) -> bool {
+    name.contains("::")
+}
+
 /// What stands between backticks.
 fn quoted(cell: &str) -> Names {
     cell.split('`').skip(1).step_by(2).map(String::from).collect()
 }
 
 impl Rules {
-    /// `package` ends the titles of the package's own tables: nothing for the library, " of the program" for the program.
+    /// `package` ends the titles of the package's own tables: nothing for the library, " of the program" for the program. In
+    /// "Modules" the head of a column names the crate whose modules the column lists; the package's own crate has no name there.
     pub fn parse(markdown: &str, package: &str) -> Self {
         let mut rules = Self::default();
         let mut section = "";
+        let mut crates: Vec<String> = Vec::new();
         for line in markdown.lines() {
             if let Some(title) = line.strip_prefix("## ") {
                 section = title;
             }
             let cells: Vec<&str> = line.split('|').collect();
-            // The head of a table and the line below it quote nothing.
-            if cells.len() < 4 || quoted(cells[1]).is_empty() {
+            if cells.len() < 4 {
                 continue;
             }
-            if section.starts_with("Modules") {
-                rules.known.extend(quoted(cells[1]));
+            if cells[1].trim() == "Module" {
+                crates = cells[3..].iter().map(|cell| quoted(cell).pop_first().unwrap_or_default()).collect();
+            }
+            // The head of a table and the line below it quote no name of a row.
+            if quoted(cells[1]).is_empty() {
+                continue;
             }
             match section.strip_suffix(package).unwrap_or_default() {
-                "Modules" => rules.modules.extend(
-                    quoted(cells[1])
-                        .into_iter()
-                        .map(|name| (name, Module { to_come: cells[1].contains("(to come)"), uses: quoted(cells[3]) })),
-                ),
+                "Modules" => {
+                    let of_crate = |(owner, cell): (&String, &&str)| -> Vec<String> {
+                        let path = |name| if owner.is_empty() { name } else { format!("{owner}::{name}") };
+                        quoted(cell).into_iter().map(path).collect()
+                    };
+                    let uses: Names = crates.iter().zip(&cells[3..]).flat_map(of_crate).collect();
+                    let row = || Module { to_come: cells[1].contains("(to come)"), uses: uses.clone() };
+                    rules.modules.extend(quoted(cells[1]).into_iter().map(|name| (name, row())));
+                }
                 "Exceptions" => rules.exceptions.push((quoted(cells[1]), quoted(cells[2]))),
                 "Names that stay in their module" => rules.confined.push((quoted(cells[1]), quoted(cells[2]))),
                 _ => {}
@@ -80,11 +93,22 @@ impl Rules {
         rules
     }
 
-    /// Every arrow of the map, exceptions included, from the user to the used.
+    /// Modules of other packages that this one uses, with their crates.
+    pub fn foreign(&self) -> BTreeSet<&str> {
+        self.modules
+            .values()
+            .flat_map(|module| &module.uses)
+            .map(String::as_str)
+            .filter(|name| is_foreign(name))
+            .collect()
+    }
+
+    /// Every arrow between modules of the package, exceptions included, from the user to the used.
     fn arrows(&self) -> BTreeMap<&str, BTreeSet<&str>> {
         let mut arrows: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
         for (name, module) in &self.modules {
-            arrows.entry(name).or_default().extend(module.uses.iter().map(String::as_str));
+            let own = module.uses.iter().map(String::as_str).filter(|name| !is_foreign(name));
+            arrows.entry(name).or_default().extend(own);
         }
         for (places, uses) in &self.exceptions {
             for place in places {
@@ -102,7 +126,7 @@ impl Rules {
         let mut faults: Vec<String> = named
             .collect::<BTreeSet<_>>()
             .into_iter()
-            .filter(|name| !self.known.contains(*name))
+            .filter(|name| !self.modules.contains_key(*name))
             .map(|name| format!("the map names the module `{name}`, which has no row"))
             .collect();
         // Take away the modules that use none of those left, until nothing changes: what stays uses itself in a circle.
@@ -119,8 +143,8 @@ impl Rules {
         faults
     }
 
-    /// What `file` does against the rules; one sentence each. `exported` gives the module of each name that `lib.rs`
-    /// re-exports.
+    /// What `file` does against the rules; one sentence each. `exported` gives the module of each name that a `lib.rs`
+    /// re-exports, both with their crate where it is another package's.
     pub fn violations(&self, file: &str, source: &Source, exported: &BTreeMap<String, String>) -> Vec<String> {
         let module = module_of(file);
         let mut violations = Vec::new();
@@ -134,7 +158,8 @@ impl Rules {
             for name in &source.uses {
                 let used = exported.get(name).unwrap_or(name);
                 if used != module && !allowed.contains(used) {
-                    violations.push(format!("{file}.rs: `{module}` may not use `crate::{name}`"));
+                    let root = if is_foreign(name) { "" } else { "crate::" };
+                    violations.push(format!("{file}.rs: `{module}` may not use `{root}{name}`"));
                 }
             }
         }

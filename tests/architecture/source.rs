@@ -7,9 +7,9 @@ use std::collections::{BTreeMap, BTreeSet};
 /// What a file names.
 #[derive(Debug, Default)]
 pub struct Source {
-    /// Names at the root of the crate, or of another package of the workspace, that a path leads to: `crate::grid::Grid`,
-    /// `cophase::grid` and, from `pupil/mod.rs`, `super::grid` all give `grid`. A glob of the root gives `*`, the root itself
-    /// `self`.
+    /// Names at the root of the crate that a path leads to: `crate::grid::Grid` and, from `pupil/mod.rs`, `super::grid` give
+    /// `grid`. A glob of the root gives `*`, the root itself `self`. Those of another package of the workspace have its crate
+    /// with them: `cophase_view::plot`.
     pub uses: BTreeSet<String>,
     /// First names of all other paths, so those of other crates; and `extern "C"`.
     pub outside: BTreeSet<String>,
@@ -45,8 +45,12 @@ impl Source {
                     }
                 }
                 TokenTree::Ident(name) if !continues_a_path(tokens, at) => match name.to_string().as_str() {
-                    "crate" | "cophase" | "cophase_cli" if before_colons(tokens, at) => self.follow(tokens, at + 3, 0),
-                    "super" | "self" => self.follow(tokens, at, module.len()),
+                    // The program `cophase-paper` and its library are one package.
+                    "crate" | "cophase_paper" if before_colons(tokens, at) => self.follow(tokens, at + 3, 0, ""),
+                    "cophase" | "cophase_view" | "cophase_watch" if before_colons(tokens, at) => {
+                        self.follow(tokens, at + 3, 0, &format!("{name}::"));
+                    }
+                    "super" | "self" => self.follow(tokens, at, module.len(), ""),
                     "extern" if declares_c(tokens.get(at + 1)) => {
                         self.outside.insert("extern \"C\"".into());
                     }
@@ -61,23 +65,24 @@ impl Source {
         }
     }
 
-    /// Follows the path at `at`, whose beginning has led to a module `depth` levels below the root.
-    fn follow(&mut self, tokens: &[TokenTree], at: usize, depth: usize) {
+    /// Follows the path at `at`, whose beginning has led to a module `depth` levels below the root. `owner` precedes the names
+    /// of another package.
+    fn follow(&mut self, tokens: &[TokenTree], at: usize, depth: usize, owner: &str) {
         match tokens.get(at) {
             Some(TokenTree::Ident(name)) => match name.to_string().as_str() {
-                "super" if before_colons(tokens, at) => self.follow(tokens, at + 3, depth.saturating_sub(1)),
-                "self" if before_colons(tokens, at) => self.follow(tokens, at + 3, depth),
+                "super" if before_colons(tokens, at) => self.follow(tokens, at + 3, depth.saturating_sub(1), owner),
+                "self" if before_colons(tokens, at) => self.follow(tokens, at + 3, depth, owner),
                 name if depth == 0 => {
-                    self.uses.insert(name.into());
+                    self.uses.insert(format!("{owner}{name}"));
                 }
                 _ => {}
             },
             Some(TokenTree::Punct(star)) if star.as_char() == '*' && depth == 0 => {
-                self.uses.insert("*".into());
+                self.uses.insert(format!("{owner}*"));
             }
             Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Brace => {
                 for branch in branches(group.stream()) {
-                    self.follow(&branch, 0, depth);
+                    self.follow(&branch, 0, depth, owner);
                 }
             }
             _ => {}
@@ -121,7 +126,7 @@ pub fn module_of(file: &str) -> Vec<&str> {
 
 /// The module of each name that the door, `lib.rs`, re-exports: `pub use error::{Error, Result}` gives `Error → error`.
 pub fn exported(door: &str) -> BTreeMap<String, String> {
-    let tokens = trees(door.parse().expect("src/lib.rs does not parse"));
+    let tokens = trees(door.parse().expect("lib.rs does not parse"));
     let mut exported = BTreeMap::new();
     for item in tokens.split(|token| is_punct(Some(token), ';')) {
         let Some(start) = item.iter().position(|token| matches!(token, TokenTree::Ident(word) if word == "use")) else {

@@ -1,6 +1,10 @@
 //! `cophase watch`: estimates of the frames that appear in a folder.
 
-use crate::{self as watch, FrameReader, PageSettings, Place, TrackingSettings};
+use crate::export::export;
+use crate::frame_file::FrameReader;
+use crate::page::{PageSettings, is_token};
+use crate::service::{self, Place};
+use crate::tracking::TrackingSettings;
 use cophase::pipeline::{Corrections, Policy};
 use cophase::{Error, Result};
 use cophase_view::files::{self, Settings};
@@ -97,7 +101,7 @@ impl Arguments {
         }
         let token =
             self.token.clone().or_else(|| std::env::var("COPHASE_TOKEN").ok().filter(|token| !token.is_empty()));
-        if token.as_deref().is_some_and(|token| !watch::is_token(token)) {
+        if token.as_deref().is_some_and(|token| !is_token(token)) {
             let accepted = "16 to 256 letters, digits, - and _ are accepted";
             return Err(Error::Value(format!("the token (--token, COPHASE_TOKEN) cannot be used: {accepted}")));
         }
@@ -124,7 +128,7 @@ fn seconds(text: &str) -> std::result::Result<f64, String> {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if let Some(output) = &arguments.export {
         outputs::check(&[("--export", output)], &[("--state", &arguments.state)])?;
-        let frames = watch::export(&arguments.state, output)?;
+        let frames = export(&arguments.state, output)?;
         return terminal.show(&format!("{}: {}\n", output.display(), counted(frames, "frame")));
     }
     let interrupt = Interrupt::catch()?;
@@ -155,7 +159,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if arguments.corrections.is_some() {
         Corrections::check_controllers(&scene)?;
     }
-    let settings = watch::Settings {
+    let settings = service::Settings {
         place,
         scene,
         policy: if arguments.policy == "full" { Policy::default() } else { Policy::realtime() },
@@ -176,7 +180,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         corrections: arguments.corrections.clone(),
         page: arguments.page()?,
     };
-    watch::run(settings, terminal, &interrupt)
+    service::run(settings, terminal, &interrupt)
 }
 
 /// Refuses a file of corrections among the frames, of which it would be one.

@@ -24,9 +24,3 @@ mod store;
 mod stream;
 mod tracking;
 mod watcher;
-
-use export::export;
-use frame_file::FrameReader;
-use page::{PageSettings, is_token};
-use service::{Place, Settings, run};
-use tracking::TrackingSettings;

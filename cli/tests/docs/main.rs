@@ -5,8 +5,11 @@
 //! `blocks_that_are_not_run_have_a_reason` prints them. What a page leaves out (`frames`, `scene`, ...) is in
 //! `setup/PAGE.EXTENSION`.
 
+#[path = "../../../tests/common/blocks.rs"]
 mod blocks;
 mod c;
+#[path = "../../../tests/common/shell.rs"]
+mod commands;
 mod interpreters;
 mod rust;
 mod scenes;
@@ -60,7 +63,8 @@ fn blocks_that_are_not_run_have_a_reason() {
         .collect();
     assert!(unknown.is_empty(), "{}", unknown.join("\n"));
     // A command in a block of text would not be tried.
+    let is_command = |text: &str| text.starts_with("cophase ") || text.starts_with("cophase-paper ");
     let commands: Vec<&Block> =
-        blocks.iter().filter(|block| block.language.is_empty() && block.text.starts_with("cophase ")).collect();
+        blocks.iter().filter(|block| block.language.is_empty() && is_command(&block.text)).collect();
     assert!(commands.is_empty(), "commands without the language sh: {commands:?}");
 }

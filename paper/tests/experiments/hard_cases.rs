@@ -1,6 +1,6 @@
 //! Hard cases, a few draws each: an answer that is wrong says so, and none of those that were right is lost.
 //!
-//! `cophase reproduce hard-cases` tries all of them on more draws; docs/hard-cases.md has its table.
+//! `cophase-paper hard-cases` tries all of them on more draws; docs/hard-cases.md has its table.
 
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};

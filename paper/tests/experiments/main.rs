@@ -1,6 +1,8 @@
 //! The experiments, run in this process, and the command line of the program.
 
 mod bench;
+#[path = "../../../tests/common/blocks.rs"]
+mod blocks;
 mod channels;
 mod command_line;
 #[path = "../../../tests/common/desk.rs"]
@@ -9,9 +11,12 @@ mod hard_cases;
 mod leak;
 mod metrics;
 mod night_table;
+mod pages;
 mod paper;
 mod pulls;
 mod pyramid;
+#[path = "../../../tests/common/shell.rs"]
+mod shell;
 
 use desk::{Desk, number};
 

@@ -1,4 +1,4 @@
-//! Pulls of one row on a few draws; docs/error-bars.md has the table of `cophase reproduce pulls`.
+//! Pulls of one row on a few draws; docs/error-bars.md has the table of `cophase-paper pulls`.
 
 use cophase::Error;
 use cophase_paper::reproduce::{Progress, PullRow, pulls};
