@@ -549,11 +549,3 @@ fn deeply_nested_and_long_texts_are_refused() {
         refusal(&text);
     }
 }
-
-#[test]
-fn a_renamed_key_is_refused_with_its_new_name() {
-    let message = refusal("[estimate]\nknows = \"loop\"");
-    assert_eq!(message, "scene line 2: unknown key 'estimate.knows'; its name is now 'ao_knowledge'");
-    let error = Scene::preset("keck-onsky").unwrap().with(&[("estimate.knows", "loop")]).unwrap_err().to_string();
-    assert!(error.ends_with("its name is now 'ao_knowledge'"), "{error}");
-}
