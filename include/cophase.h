@@ -65,7 +65,7 @@ extern "C" {
 /* ---------------------------------------- Names and text ---------------------------------------- */
 
 /* Version of the C interface. It changes only where a program built against an older header could break. */
-#define COPHASE_ABI_VERSION 2
+#define COPHASE_ABI_VERSION 1
 
 /* Version of the library, such as "0.1.0". A static string, never NULL. */
 const char *cophase_version(void);

@@ -260,8 +260,7 @@ fn camera(tables: &mut AotTables, scene: &Scene, channel: &ChannelShots) -> Resu
         // The images are in electrons.
         ("GAIN", 1.0.into()),
     ];
-    let pixel_mas = file::pixel_mas(own);
-    cells.extend(pixel_mas.map(|mas| ("PIXEL_SCALE", (mas / 3.6e6).to_radians().into())));
+    cells.extend(own.pixel_mas().map(|mas| ("PIXEL_SCALE", (mas / 3.6e6).to_radians().into())));
     if camera.bandwidth_fraction > 0.0 {
         cells.push(("BANDWIDTH", (camera.bandwidth_fraction * wavelength_m).into()));
     }

@@ -3,7 +3,7 @@
 use std::ffi::{CStr, c_char};
 
 /// Version of the C interface. It changes only where a program built against an older header could break.
-pub const COPHASE_ABI_VERSION: u32 = 2;
+pub const COPHASE_ABI_VERSION: u32 = 1;
 
 const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
     Ok(version) => version,

@@ -7,7 +7,7 @@ use super::images::{Images, Trust};
 use super::instrument;
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 use crate::scene::{Method, Scene};
-use crate::{Error, Result, source};
+use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
 use std::borrow::Cow;
 
@@ -142,8 +142,8 @@ impl Comparison<'_> {
         // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
         // file's wavelength, where it is trusted, needs the sampling that goes with it.
         let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| fact.agrees(mas));
-        let is_settled = self.images.trust != Trust::File && source::pixel_mas(given).is_some_and(agrees);
-        if let Some(pixel_mas) = source::pixel_mas(&self.scene).filter(|_| !is_settled) {
+        let is_settled = self.images.trust != Trust::File && given.pixel_mas().is_some_and(agrees);
+        if let Some(pixel_mas) = self.scene.pixel_mas().filter(|_| !is_settled) {
             let sampling = self.scene.image.samples_per_lambda_over_d;
             let key = "image.samples_per_lambda_over_d";
             let sampling_of = |mas: f64| if mas == pixel_mas { sampling } else { sampling * (pixel_mas / mas) };

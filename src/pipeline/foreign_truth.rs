@@ -5,7 +5,7 @@
 //! (for a map of NCPA: are illuminated). The points are those of a pupil on a finer grid, so that on the estimate's own grid only samples
 //! are left out whose centre is on an edge.
 
-use super::estimate::{Estimate, check_on_pupil};
+use super::estimate::check_on_pupil;
 use super::images::counted;
 use crate::pupil::Pupil;
 use crate::telescope::{OpdMap, Telescope};
@@ -174,16 +174,6 @@ impl ForeignTruth {
         };
         let rms = |map: Option<Array2<f64>>| map.map(|map| inner.rms(map.view())).transpose();
         Ok(ForeignComparison { rms_nm: [rms(phasing)?, rms(ncpa)?, rms(whole)?], samples, left_out })
-    }
-}
-
-impl Estimate {
-    /// Residual against the truth of another program.
-    ///
-    /// # Errors
-    /// Those of [`ForeignTruth::compare`], and of [`Telescope::new`].
-    pub fn compare_foreign(&self, truth: &ForeignTruth) -> Result<ForeignComparison> {
-        truth.compare(&Telescope::new(&self.scene)?, &self.phasing_nm, &self.ncpa_nm)
     }
 }
 

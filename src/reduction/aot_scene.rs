@@ -5,7 +5,7 @@ use super::scene_text::{Lines, UNKNOWN, counted, float};
 use crate::hexagons::HexagonLayout;
 use crate::io::FitsReader;
 use crate::io::aot::{self, AotControl, AotImage, AotMirror, AotSensor, AotSystem, AotTelescope, AotTurbulence};
-use crate::scene::SensorDetector;
+use crate::scene::{MAS_PER_RADIAN, SensorDetector};
 use crate::{Error, Result};
 
 /// Sections of a first scene, and the side of the grid of its pupil, m.
@@ -339,12 +339,11 @@ fn matrix_command_nm(control: &AotControl, sensor: &AotSensor) -> Option<f64> {
         "m" => 1e9,
         _ => return None,
     };
-    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
     let slope_mas = match slope.as_str() {
         "mas" => 1.0,
         "arcsec" => 1e3,
-        "rad" => radian_mas,
-        "pix" | "pixel" if sensor.pixel_scale_rad > 0.0 => sensor.pixel_scale_rad * radian_mas,
+        "rad" => MAS_PER_RADIAN,
+        "pix" | "pixel" if sensor.pixel_scale_rad > 0.0 => sensor.pixel_scale_rad * MAS_PER_RADIAN,
         _ => return None,
     };
     Some(command_nm / slope_mas)

@@ -6,7 +6,7 @@ use super::frame::{Cards, FrameHeader};
 use super::scene_text::{Lines, UNKNOWN, counted, float, printable};
 use super::star;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit, Quantity};
-use crate::scene::Scene;
+use crate::scene::{MAS_PER_RADIAN, Scene};
 use crate::{Error, Result};
 use ndarray::{ArrayView2, Axis};
 use std::path::Path;
@@ -135,8 +135,7 @@ fn image(
         (None, Some((_, name, mas))) => (*mas, format!("{instrument}, camera {name}")),
         (None, None) => (10.0, format!("{UNKNOWN}: no card has the pixel scale; pixels of 10 mas are assumed")),
     };
-    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
-    let sampling = wavelength_nm * 1e-9 / grid_m * radian_mas / pixel_mas;
+    let sampling = wavelength_nm * 1e-9 / grid_m * MAS_PER_RADIAN / pixel_mas;
     line("pixel_mas", float(pixel_mas), format!("{comment}; {sampling:.3} pixels per lambda/grid_m"));
     if is_cut_out {
         line("pixels", columns.to_string(), String::new());

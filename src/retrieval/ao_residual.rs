@@ -29,7 +29,7 @@ impl AoResidual {
             (share, [speed * f64::cos(direction), speed * f64::sin(direction)])
         };
         let lenslets = scene.wavefront_sensor.as_ref().map(|sensor| sensor.lenslets_across as f64);
-        let width_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
+        let width_m = scene.grid_m();
         Ok(Self {
             turbulence: Telescope::turbulence(scene)?,
             cut_off_per_m: 0.5 / scene.mirror.pitch_m,

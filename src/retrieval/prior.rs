@@ -77,7 +77,7 @@ impl RadialPsd {
     pub fn ao_residual(scene: &Scene, unknown: StaticAberrationRms) -> Result<Self> {
         let residual = AoResidual::from_scene(scene)?;
         let step_per_m = residual.cut_off_per_m / ENTRIES_IN_BAND as f64;
-        let aperture_m = scene.pupil.grid_m.or(scene.pupil.extent_m()).unwrap_or(1.0);
+        let aperture_m = scene.grid_m().unwrap_or(1.0);
         let segment_m2 = 1.5 * 3f64.sqrt() * scene.pupil.segment_side_m.powi(2);
         let density = |k: usize| {
             // Frequency 0 is the piston of the whole pupil, to which images are blind: its entry is its neighbour's.

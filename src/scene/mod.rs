@@ -45,6 +45,7 @@ pub(crate) use own_form::rounded;
 pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene};
+pub(crate) use units::MAS_PER_RADIAN;
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
     NcpaBasis, Optic, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling,

@@ -9,23 +9,26 @@ impl Scene {
     /// the sampling, a defocus proportional to that in waves; a defocus of 0 has no ratio.
     pub(crate) fn own_form(&self, key: &str, value: f64) -> (String, f64) {
         let image = &self.image;
-        let forms = [
-            (SAMPLING, [image.pixel_mas, image.pixel_arcsec, image.pixel_pitch_um]),
-            (FOCUS, [image.diversity_focus_waves_pv, image.diversity_focus_nm_rms, image.diversity_stage_mm]),
-        ];
-        for ([own, others @ ..], values) in forms {
-            let named = others.into_iter().zip(values).find_map(|(name, value)| Some((name, value?)));
-            let (Some((name, now)), true) = (named, key.strip_prefix("image.") == Some(own)) else { continue };
-            let converted = if own == SAMPLING[0] {
-                now * image.samples_per_lambda_over_d / value
-            } else {
-                now * value / image.diversity_focus_waves_rms
-            };
-            if converted.is_finite() {
-                return (format!("image.{name}"), converted);
-            }
+        let own = key.strip_prefix("image.");
+        let converted = if own == Some(SAMPLING[0]) {
+            image.named_sampling().map(|(name, now)| (name, now * image.samples_per_lambda_over_d / value))
+        } else if own == Some(FOCUS[0]) {
+            image.named_focus().map(|(name, now)| (name, now * value / image.diversity_focus_waves_rms))
+        } else {
+            None
+        };
+        match converted.filter(|(_, value)| value.is_finite()) {
+            Some((name, value)) => (format!("image.{name}"), value),
+            None => (key.to_string(), value),
         }
-        (key.to_string(), value)
+    }
+
+    /// The key of the focal length of a scene whose pixel is a pitch, its value, and whether the defocus of the scene depends on it, too.
+    pub(crate) fn focal_form(&self) -> Option<(&'static str, f64, bool)> {
+        let image = &self.image;
+        image.pixel_pitch_um?;
+        let (name, value) = image.named_focal()?;
+        Some((name, value, image.diversity_stage_mm.is_some()))
     }
 
     /// As [`Scene::own_form`] of a value as text, which stays as it is where the key does.

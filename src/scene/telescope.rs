@@ -102,6 +102,22 @@ impl ImageScene {
         self.read_noise_e.unwrap_or(0.0)
     }
 
+    /// The other form of the sampling that the scene names, and its value. A pixel is inversely proportional to the sampling.
+    pub(super) fn named_sampling(&self) -> Option<(&'static str, f64)> {
+        named(forms::SAMPLING, [self.pixel_mas, self.pixel_arcsec, self.pixel_pitch_um])
+    }
+
+    /// The other form of the defocus in waves that the scene names, and its value. All forms are proportional to each other.
+    pub(super) fn named_focus(&self) -> Option<(&'static str, f64)> {
+        named(forms::FOCUS, [self.diversity_focus_waves_pv, self.diversity_focus_nm_rms, self.diversity_stage_mm])
+    }
+
+    /// The form of the focal length that the scene names, and its value.
+    pub(super) fn named_focal(&self) -> Option<(&'static str, f64)> {
+        let values = [self.focal_ratio, self.focal_length_m];
+        forms::FOCAL.into_iter().zip(values).find_map(|(key, value)| Some((key, value?)))
+    }
+
     /// Whether the samples of the image hold the frequencies of the area of a pixel.
     pub(crate) fn has_samples_of_pixels(&self) -> bool {
         self.samples_per_lambda_over_d >= LEAST_SAMPLING_OF_PIXELS
@@ -133,6 +149,12 @@ impl ImageScene {
         let (rows, columns) = self.frame_shape();
         (rows / 2 * 2, columns / 2 * 2)
     }
+}
+
+/// The key behind the first of `keys` that has a value, and the value.
+fn named(keys: [&'static str; 4], values: [Option<f64>; 3]) -> Option<(&'static str, f64)> {
+    let [_, others @ ..] = keys;
+    others.into_iter().zip(values).find_map(|(key, value)| Some((key, value?)))
 }
 
 impl Check for ImageScene {

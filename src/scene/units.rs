@@ -9,7 +9,7 @@
 //!   section 6.4, for ΔL ≪ f).
 
 use super::table::{Reader, Source};
-use super::{PupilScene, Sections};
+use super::{PupilScene, Scene, Sections};
 use crate::Result;
 use crate::hexagons::{Hexagon, HexagonLayout};
 
@@ -18,7 +18,7 @@ const SAMPLINGS: std::ops::RangeInclusive<f64> = f64::MIN_POSITIVE..=64.0;
 const WAVES: std::ops::RangeInclusive<f64> = -20.0..=20.0;
 
 /// Milliarcseconds in a radian.
-const RADIAN_MAS: f64 = 180.0 / std::f64::consts::PI * 3.6e6;
+pub(crate) const MAS_PER_RADIAN: f64 = 180.0 / std::f64::consts::PI * 3.6e6;
 
 impl Sections {
     /// Converts the other forms of the sampling and of the defocus to `samples_per_lambda_over_d` and `diversity_focus_waves_rms`.
@@ -30,17 +30,12 @@ impl Sections {
 
     fn convert_sampling(&mut self, reader: &Reader) -> Result<()> {
         let image = &self.image;
-        let (key, value) = match (image.pixel_mas, image.pixel_arcsec, image.pixel_pitch_um) {
-            (Some(mas), ..) => ("pixel_mas", mas),
-            (_, Some(arcsec), _) => ("pixel_arcsec", arcsec),
-            (.., Some(um)) => ("pixel_pitch_um", um),
-            _ => return Ok(()),
-        };
+        let Some((key, value)) = image.named_sampling() else { return Ok(()) };
         let lambda_m = image.wavelength_nm * 1e-9;
-        let grid_m = || self.grid_m(reader, key, "samples_per_lambda_over_d");
+        let grid_m = || self.grid_m_for(reader, key, "samples_per_lambda_over_d");
         let sampling = match key {
-            "pixel_mas" => lambda_m / grid_m()? * RADIAN_MAS / value,
-            "pixel_arcsec" => lambda_m / grid_m()? * RADIAN_MAS / (1e3 * value),
+            "pixel_mas" => lambda_m / grid_m()? * MAS_PER_RADIAN / value,
+            "pixel_arcsec" => lambda_m / grid_m()? * MAS_PER_RADIAN / (1e3 * value),
             _ => lambda_m * self.focal_ratio(reader, key)? / (value * 1e-6),
         };
         if !SAMPLINGS.contains(&sampling) {
@@ -55,13 +50,7 @@ impl Sections {
 
     fn convert_focus(&mut self, reader: &Reader) -> Result<()> {
         let image = &self.image;
-        let (key, value) =
-            match (image.diversity_focus_waves_pv, image.diversity_focus_nm_rms, image.diversity_stage_mm) {
-                (Some(waves), ..) => ("diversity_focus_waves_pv", waves),
-                (_, Some(nm), _) => ("diversity_focus_nm_rms", nm),
-                (.., Some(mm)) => ("diversity_stage_mm", mm),
-                _ => return Ok(()),
-            };
+        let Some((key, value)) = image.named_focus() else { return Ok(()) };
         let lambda_m = image.wavelength_nm * 1e-9;
         let shape = || {
             self.pupil.focus_shape().ok_or_else(|| {
@@ -79,7 +68,8 @@ impl Sections {
             }
             "diversity_focus_nm_rms" => value / image.wavelength_nm,
             _ => {
-                let focal_m = self.focal_ratio(reader, key)? * self.grid_m(reader, key, "diversity_focus_waves_rms")?;
+                let focal_m =
+                    self.focal_ratio(reader, key)? * self.grid_m_for(reader, key, "diversity_focus_waves_rms")?;
                 value * 1e-3 / (2.0 * focal_m.powi(2)) * shape()?.spread_m2 / lambda_m
             }
         };
@@ -92,8 +82,8 @@ impl Sections {
         Ok(())
     }
 
-    /// Side of the pupil's grid, m.
-    fn grid_m(&self, reader: &Reader, key: &str, instead: &str) -> Result<f64> {
+    /// Side of the pupil's grid, m, without which `key` cannot be converted.
+    fn grid_m_for(&self, reader: &Reader, key: &str, instead: &str) -> Result<f64> {
         self.pupil.grid_m.or(self.pupil.extent_m()).ok_or_else(|| {
             reader.error(
                 key,
@@ -106,7 +96,7 @@ impl Sections {
     fn focal_ratio(&self, reader: &Reader, key: &str) -> Result<f64> {
         match (self.image.focal_ratio, self.image.focal_length_m) {
             (Some(ratio), None) => Ok(ratio),
-            (None, Some(focal_length_m)) => Ok(focal_length_m / self.grid_m(reader, key, "image.focal_ratio")?),
+            (None, Some(focal_length_m)) => Ok(focal_length_m / self.grid_m_for(reader, key, "image.focal_ratio")?),
             (Some(ratio), Some(focal_length_m)) => {
                 let sentence = format!(
                     "image.focal_ratio = {ratio} and image.focal_length_m = {focal_length_m} are two forms of one quantity: one of them \
@@ -121,6 +111,19 @@ impl Sections {
                 ),
             )),
         }
+    }
+}
+
+impl Scene {
+    /// Side of the pupil's grid, m; `None` where arrays of a caller replace the scene's pupil.
+    pub(crate) fn grid_m(&self) -> Option<f64> {
+        self.pupil.grid_m.or(self.pupil.extent_m())
+    }
+
+    /// Pixel on the sky, mas: λ/grid_m over the sampling; `None` as for [`Scene::grid_m`].
+    pub fn pixel_mas(&self) -> Option<f64> {
+        let (grid_m, image) = (self.grid_m()?, &self.image);
+        Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * MAS_PER_RADIAN)
     }
 }
 
@@ -215,7 +218,7 @@ mod tests {
             assert!((own / sampling - 1.0).abs() < 1e-4, "{image}: {own}");
             assert!(read.text().ends_with(image));
         }
-        let mas = crate::source::pixel_mas(&scene("pixel_mas = 9.952").unwrap()).unwrap();
+        let mas = scene("pixel_mas = 9.952").unwrap().pixel_mas().unwrap();
         assert!((mas / 9.952 - 1.0).abs() < 1e-12, "{mas}");
         let halved = scene("pixel_mas = 10.0").unwrap().with(&[("image.wavelength_nm", "1084.3")]).unwrap();
         assert!((halved.image.samples_per_lambda_over_d / 2.0425 - 1.0).abs() < 1e-4);

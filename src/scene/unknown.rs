@@ -5,9 +5,6 @@ use super::section_keys::SectionKeys;
 use super::table::{Reader, Source, nearest, shown, suggestion};
 use crate::{Error, Result};
 
-/// Keys with a new name: section, old name, new name.
-const RENAMED: [(&str, &str, &str); 1] = [("estimate", "knows", "ao_knowledge")];
-
 /// Refuses sections and keys that are not among `sections`, with a suggestion.
 pub(super) fn refuse(source: Source, document: &toml_edit::Table, sections: &[SectionKeys]) -> Result<()> {
     for (name, item) in document.iter() {
@@ -54,9 +51,6 @@ pub(super) fn unknown_section(sections: &[SectionKeys], name: &str) -> String {
 pub(super) fn unknown_key(sections: &[SectionKeys], section: &SectionKeys, key: &str) -> String {
     let names = || section.keys.iter().map(|key| key.name);
     let unknown = format!("unknown key '{}.{}'", section.name, shown(key));
-    if let Some((.., new)) = RENAMED.iter().find(|(home, old, _)| *home == section.name && *old == key) {
-        return format!("{unknown}; its name is now '{new}'");
-    }
     if let Some(home) = sections.iter().find(|other| other.keys.iter().any(|known| known.name == key)) {
         return format!("{unknown}; it belongs in [{}]", home.name);
     }

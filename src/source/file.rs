@@ -55,18 +55,11 @@ pub(crate) fn channel_hdu(name: &str, number: usize) -> String {
 
 /// Side of the scene's grid, m.
 pub(crate) fn grid_m(scene: &Scene) -> Result<f64> {
-    scene.pupil.grid_m.or(scene.pupil.extent_m()).ok_or_else(no_grid)
+    scene.grid_m().ok_or_else(no_grid)
 }
 
 fn no_grid() -> Error {
     Error::Internal("a valid scene does not determine the width of its grid".into())
-}
-
-/// Pixel on the sky, mas: λ/grid_m over the sampling; `None` where arrays of a caller replace the scene's pupil.
-pub fn pixel_mas(scene: &Scene) -> Option<f64> {
-    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
-    let (grid_m, image) = (grid_m(scene).ok()?, &scene.image);
-    Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * radian_mas)
 }
 
 /// Writes the cards of the images in `hdu`: noise, flux, sampling, exposure.
@@ -77,7 +70,7 @@ pub(crate) fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_
         ("FLUX_E", flux_e, "electrons of the star in an image"),
         ("BACKGR_E", image.background_e, "background of a pixel, electrons"),
         ("WAVELEN", image.wavelength_nm, "wavelength, nm"),
-        ("PIXSCALE", pixel_mas(scene).ok_or_else(no_grid)?, "pixel on the sky, mas"),
+        ("PIXSCALE", scene.pixel_mas().ok_or_else(no_grid)?, "pixel on the sky, mas"),
         ("EXPTIME", image.exposure_s, "exposure, s"),
     ] {
         file.card(hdu, key, value, comment)?;

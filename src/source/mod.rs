@@ -12,7 +12,7 @@ mod random;
 mod truth;
 
 pub use camera::{Camera, expose, flux_e};
-pub use file::{pixel_mas, write};
+pub use file::write;
 pub use images::{ChangeOfTruth, SourceImages, simulate, simulate_channels, simulate_channels_with};
 pub(crate) use pixels::DetectorPixels;
 pub use random::stream;

@@ -14,9 +14,7 @@ use memory::{Compared, MOST_OUTLIERS, Measured, Memory};
 use ndarray::{Array1, Array2, s};
 
 /// First bytes of a state, with the version of its format.
-const MAGIC: &[u8; 8] = b"CPTRACK2";
-/// The version before corrections were expected.
-const MAGIC_1: &[u8; 8] = b"CPTRACK1";
+const MAGIC: &[u8; 8] = b"CPTRACK1";
 
 /// Kalman filter with a detector of changes: estimates in, tracked state and alarms out. See the [module](super).
 ///
@@ -163,7 +161,7 @@ impl Tracker {
     pub fn from_bytes(settings: TrackerSettings, bytes: &[u8]) -> Result<Self> {
         let mut tracker = Self::new(settings)?;
         let settings = &tracker.settings;
-        let rest = bytes.strip_prefix(MAGIC).or_else(|| bytes.strip_prefix(MAGIC_1)).ok_or_else(|| {
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| {
             Error::Value("the state of a tracker is of another version: that of this program is needed".into())
         })?;
         let mut reader = Reader(rest);
@@ -180,8 +178,7 @@ impl Tracker {
             let given = [settings.drift_segments_nm_per_sqrt_hour, settings.drift_ncpa_nm_per_sqrt_hour];
             let [segments, ncpa] = [0, 1].map(|at| DriftRate::read(given[at], blocks[at], &mut reader));
             tracker.rates = [segments?, ncpa?];
-            let expected = if bytes.starts_with(MAGIC) { reader.number()? } else { 0 };
-            for _ in 0..expected {
+            for _ in 0..reader.number()? {
                 tracker.expected.push(Expected::read(memory.coordinates.len(), &mut reader)?);
             }
             tracker.memory = Some(memory);

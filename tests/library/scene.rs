@@ -512,11 +512,3 @@ fn deeply_nested_and_long_texts_are_refused() {
         refusal(&text);
     }
 }
-
-#[test]
-fn a_renamed_key_is_refused_with_its_new_name() {
-    let message = refusal("[estimate]\nknows = \"loop\"");
-    assert_facts(&message, "scene line 2 | 'estimate.knows' | now 'ao_knowledge'");
-    let error = Scene::preset("keck-onsky").unwrap().with(&[("estimate.knows", "loop")]).unwrap_err().to_string();
-    assert_facts(&error, "'estimate.knows' | now 'ao_knowledge'");
-}

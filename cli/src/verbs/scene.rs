@@ -80,7 +80,7 @@ fn in_pixels(scene: &Scene) -> String {
     let image = &scene.image;
     let sampling = image.samples_per_lambda_over_d;
     let mut text = format!("{sampling:.3} pixels per λ/grid_m");
-    if let Some(mas) = cophase::source::pixel_mas(scene) {
+    if let Some(mas) = scene.pixel_mas() {
         text += &format!(" ({mas:.3} of {:.2} mas)", mas * sampling);
     }
     if image.diversity_file.is_none() {

@@ -202,7 +202,6 @@ fn bad_usage_is_status_2() {
         (&["estimate", "images.fits", "-o", "e.fits", "--precision", "f16"], "f32"),
         (&["estimate", "images.fits", "-o", "e.fits", "--optimizer", "sgd"], "gauss-newton"),
         (&["estimate", "images.fits", "-o", "e.fits", "--method", "full-face"], "modal"),
-        (&["estimate", "images.fits", "-o", "e.fits", "--knows", "loop"], "--ao-knowledge"),
         (&["image", "scene.toml", "-o", "e.fits", "--set", "image.pixels"], "section.key=value"),
         (&["image", "scene.toml", "-o", "e.fits", "--seed", "-1"], "-1"),
         (&["image", "scene.toml", "-o", "e.fits", "--seed", "9223372036854775808"], "9223372036854775807"),

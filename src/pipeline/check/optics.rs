@@ -143,13 +143,8 @@ fn finding(
 /// What else may be wrong where the scene has its pixel as a pitch: a focal length, which changes the defocus of a stage, too. `factor` is the fitted
 /// sampling over the scene's.
 fn of_focal_length(scene: &Scene, factor: f64) -> String {
-    let image = &scene.image;
-    let (key, value) = match (image.pixel_pitch_um, image.focal_length_m, image.focal_ratio) {
-        (Some(_), Some(focal_length_m), _) => ("focal_length_m", focal_length_m),
-        (Some(_), None, Some(ratio)) => ("focal_ratio", ratio),
-        _ => return String::new(),
-    };
-    let stage = if image.diversity_stage_mm.is_some() { ", and another defocus of the stage" } else { "" };
+    let Some((key, value, has_stage)) = scene.focal_form() else { return String::new() };
+    let stage = if has_stage { ", and another defocus of the stage" } else { "" };
     format!(
         ". image.{key} = {:.5} in place of {value} has the same pixels{stage}: set it where the pitch is known",
         value * factor

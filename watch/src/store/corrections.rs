@@ -98,13 +98,9 @@ pub(super) fn apply(connection: &Connection, applied: &Applied, frame: i64, obse
 }
 
 impl Reader {
-    /// The last `limit` corrections, the newest first; none in the file of an earlier version, which has no table of them.
+    /// The last `limit` corrections, the newest first.
     pub fn corrections(&self, limit: usize) -> Result<Vec<StoredCorrection>> {
         let failed = failed(&self.path);
-        let query = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = 'corrections'";
-        if self.connection.query_row(query, [], |row| row.get::<_, i64>(0)).map_err(&failed)? == 0 {
-            return Ok(Vec::new());
-        }
         let query = "SELECT id, frame, written_s, phasing_rms_nm, ncpa_rms_nm, segment_modes, ncpa_modes, replaced_by, applied_frame, \
                      applied_s, applied_part, applied_fraction, applied_fraction_error, change_nm FROM corrections ORDER BY id DESC LIMIT ?1";
         let mut query = self.connection.prepare_cached(query).map_err(&failed)?;

@@ -49,7 +49,7 @@ impl Store {
     /// Opens the store in the file `path`, or makes one there, for the model that `about` describes.
     ///
     /// # Errors
-    /// [`Error::File`] where another watcher has it; for a file that is no store, or one of a newer version, or of another model; where
+    /// [`Error::File`] where another watcher has it; for a file that is no store, or one of another version, or of another model; where
     /// it cannot be written.
     pub fn open(path: &Path, about: About) -> Result<Self> {
         let lock = Lock::take(path)?;

@@ -56,14 +56,14 @@ impl Reader {
     /// Opens the store in the file `path`.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that is not there or no store, or one of a newer version.
+    /// [`Error::File`] for a file that is not there or no store, or one of another version.
     pub fn open(path: &Path) -> Result<Self> {
         if !path.exists() {
             return Err(Error::file(path, "does not exist: the --state file of a cophase watch is needed"));
         }
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(path, flags).map_err(failed(path))?;
-        if schema::check(path, &connection)? == 0 {
+        if schema::is_empty(path, &connection)? {
             return Err(Error::file(path, "is empty: the --state file of a cophase watch is needed"));
         }
         Ok(Self { path: path.to_path_buf(), connection })

@@ -7,10 +7,12 @@ use std::path::Path;
 
 /// `application_id` of the file: "CoWa".
 const APPLICATION: i64 = 0x436f_5761;
-/// Version of the tables below. Version 1 had no table `corrections`.
-const VERSION: i64 = 2;
+/// Version of the tables below.
+const VERSION: i64 = 1;
 
 /// Times are seconds since 1970 (UTC), vectors are doubles in little-endian order; a number that is not known is NULL.
+///
+/// A correction holds what it changes of the coefficients, the tracked state and its error bars when it was written, and what was seen of it.
 const TABLES: &str = "
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE frames (
@@ -57,10 +59,6 @@ CREATE TABLE events (
     size_error_nm REAL,
     since_s REAL
 );
-";
-
-/// Corrections: what one changes of the coefficients, the tracked state and its error bars when it was written, and what was seen of it.
-const CORRECTIONS: &str = "
 CREATE TABLE corrections (
     id INTEGER PRIMARY KEY,
     frame INTEGER NOT NULL REFERENCES frames (id),
@@ -81,19 +79,16 @@ CREATE TABLE corrections (
 );
 ";
 
-/// Makes the tables in a new file; checks those of another, and adds what an earlier version lacks.
+/// Makes the tables in a new file; checks those of another.
 pub(super) fn prepare(path: &Path, connection: &mut Connection) -> Result<()> {
     let failed = failed(path);
-    let found = check(path, connection)?;
+    let is_new = is_empty(path, connection)?;
     // The log takes a frame with one write and one synchronisation; FULL makes that survive a power cut.
     connection.pragma_update(None, "journal_mode", "WAL").map_err(&failed)?;
     connection.pragma_update(None, "synchronous", "FULL").map_err(&failed)?;
-    if found < VERSION {
+    if is_new {
         let transaction = connection.transaction().map_err(&failed)?;
-        if found == 0 {
-            transaction.execute_batch(TABLES).map_err(&failed)?;
-        }
-        transaction.execute_batch(CORRECTIONS).map_err(&failed)?;
+        transaction.execute_batch(TABLES).map_err(&failed)?;
         transaction.pragma_update(None, "application_id", APPLICATION).map_err(&failed)?;
         transaction.pragma_update(None, "user_version", VERSION).map_err(&failed)?;
         transaction.commit().map_err(&failed)?;
@@ -101,25 +96,25 @@ pub(super) fn prepare(path: &Path, connection: &mut Connection) -> Result<()> {
     Ok(())
 }
 
-/// Version of the tables; 0 where the file is empty, as a new one is.
+/// Whether the file is empty, as a new one is; otherwise it is a store of this version.
 ///
 /// # Errors
-/// [`Error::File`] for a file that is no store, or one of a newer version.
-pub(super) fn check(path: &Path, connection: &Connection) -> Result<i64> {
+/// [`Error::File`] for a file that is no store, or one of another version.
+pub(super) fn is_empty(path: &Path, connection: &Connection) -> Result<bool> {
     let failed = failed(path);
     let number = |query: &str| connection.query_row(query, [], |row| row.get::<_, i64>(0)).map_err(&failed);
     let (application, version) = (number("PRAGMA application_id")?, number("PRAGMA user_version")?);
     if application == 0 && version == 0 && number("SELECT count(*) FROM sqlite_master")? == 0 {
-        return Ok(0);
+        return Ok(true);
     }
     if application != APPLICATION {
         return Err(Error::file(path, "is a database of another program: name another file with --state"));
     }
-    if !(1..=VERSION).contains(&version) {
+    if version != VERSION {
         return Err(Error::file(
             path,
-            format_args!("has version {version} of the tables, where this version of cophase accepts 1 to {VERSION}"),
+            format_args!("has version {version} of the tables, where this version of cophase accepts {VERSION}"),
         ));
     }
-    Ok(version)
+    Ok(false)
 }

@@ -95,8 +95,6 @@ pub struct Arguments {
     /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its telemetry [default: the most there is]
     #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"])]
     pub(super) ao_knowledge: Option<String>,
-    #[arg(long, hide = true, num_args = 0..=1, default_missing_value = "", value_parser = renamed_to_ao_knowledge)]
-    pub(super) knows: Option<String>,
     /// Slopes that come with the images, with full-phase: refused where they do not belong to the images (check), divided by
     /// the gain that is found and used (use), or left out (ignore) [default: check]
     #[arg(long, value_parser = ["check", "use", "ignore"])]
@@ -132,11 +130,6 @@ pub struct Arguments {
     /// Also say which combinations of modes the images determine poorly
     #[arg(short, long)]
     pub(super) verbose: bool,
-}
-
-/// Refuses the old name of `--ao-knowledge`.
-fn renamed_to_ao_knowledge(_: &str) -> std::result::Result<String, &'static str> {
-    Err("the option's name is now --ao-knowledge")
 }
 
 fn device(word: &str) -> Result<String> {

@@ -144,19 +144,3 @@ fn files_of_corrections_that_cannot_be_are_refused() {
     refused("scene.toml", &["scene.toml", "--corrections"]);
     refused("none/c.fits", &["none/c.fits"]);
 }
-
-#[test]
-fn a_night_of_the_version_before_goes_on() {
-    let desk = desk();
-    once(&desk);
-    let before = rows(&desk.path("night.db"));
-    let connection = rusqlite::Connection::open(desk.path("night.db")).unwrap();
-    connection.execute_batch("DROP TABLE corrections; PRAGMA user_version = 1").unwrap();
-    drop(connection);
-    desk.succeeds(&["watch", "--export", "night.fits", "--state", "night.db"]);
-    assert!(FitsReader::open(desk.path("night.fits")).unwrap().i64_column("CORRECTIONS", "NUMBER").unwrap().is_empty());
-    put(&desk, "before.fits", HALF..HALF + 1);
-    correct(&desk);
-    assert_eq!(rows(&desk.path("night.db"))[..HALF], before);
-    assert_eq!(corrections(&desk).len(), 1);
-}
