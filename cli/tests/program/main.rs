@@ -33,7 +33,6 @@ mod slopes;
 mod truth;
 mod units;
 mod verbs;
-mod watch;
 mod words;
 
 use desk::{Desk, Done, SMALL, number, text_column};

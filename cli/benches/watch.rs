@@ -1,10 +1,27 @@
 //! Latency and rate, on the size of Keck (240 x 240 pixels) and on the small scene. They print; nothing is asserted on time, which is the
-//! machine's: `cargo test --release --test program watch::speed -- --ignored --nocapture --test-threads 1`.
+//! machine's: `cargo bench -p cophase-cli --bench watch`.
 
-use super::page::Site;
-use super::stream::{Writer, desk_with_stream, start};
-use super::*;
+#![allow(dead_code, unused_imports, reason = "the helpers of the tests, without the tests")]
+
+#[path = "../tests/watch/common.rs"]
+mod common;
+#[path = "../../tests/common/desk.rs"]
+mod desk;
+#[path = "../tests/watch/page.rs"]
+mod page;
+#[path = "../tests/watch/stream.rs"]
+mod stream;
+
+use common::*;
+use cophase_watch::rusqlite;
+use desk::{Desk, Done, SMALL};
+use ndarray::Array3;
+use page::Site;
 use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+use stream::{Writer, desk_with_stream, start};
 
 fn number(name: &str, usual: usize) -> usize {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
@@ -24,8 +41,6 @@ fn latencies(state: &Path) -> Vec<f64> {
 }
 
 /// From the rename of a complete file to the event of the page that announces its estimate.
-#[test]
-#[ignore = "measures; see above"]
 fn latency_of_files_of_240_pixels() {
     let count = number("COPHASE_FRAMES", 100);
     let desk = Desk::with_scene();
@@ -51,8 +66,6 @@ fn latency_of_files_of_240_pixels() {
 }
 
 /// From the write of a frame to its estimate, and the memory of the watch, at 100 frames a second.
-#[test]
-#[ignore = "measures; see above"]
 fn rate_of_a_stream() {
     let (count, pause_us) = (number("COPHASE_FRAMES", 3000), number("COPHASE_PAUSE_US", 10_000));
     let desk = desk_with_stream();
@@ -67,14 +80,18 @@ fn rate_of_a_stream() {
     wait_for_rows(&desk, 200);
     let before = resident(&watch);
     writer.write(count, pause_us);
-    wait_until("all frames", || super::stream::counters(&desk).last() == Some(&(200 + count)));
+    wait_until("all frames", || stream::counters(&desk).last() == Some(&(200 + count)));
     let after = resident(&watch);
     watch.stop();
     print_quantiles("shared memory to store, 64 x 64", latencies(&desk.path("night.db")));
-    println!(
-        "{} of {} frames, {before} MiB before, {after} MiB after",
-        super::stream::counters(&desk).len(),
-        200 + count
-    );
-    assert_eq!(super::stream::counters(&desk).len(), 200 + count);
+    println!("{} of {} frames, {before} MiB before, {after} MiB after", stream::counters(&desk).len(), 200 + count);
+    assert_eq!(stream::counters(&desk).len(), 200 + count);
+}
+
+/// The program that is measured.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_cophase");
+
+fn main() {
+    latency_of_files_of_240_pixels();
+    rate_of_a_stream();
 }

@@ -1,15 +1,6 @@
-//! `cophase watch`: each frame counts exactly once, also across kills, restarts and full disks.
+//! Frames for a watch, a watch that runs, and the wait for what it does.
 
-mod browser;
-mod corrections;
-mod faults;
-mod folder;
-mod night;
-mod page;
-mod speed;
-mod stream;
-
-use crate::Desk;
+use crate::desk::{Desk, Done};
 use ndarray::Array3;
 use std::path::Path;
 use std::process::{Child, Stdio};
@@ -54,7 +45,7 @@ pub const WATCH: [&str; 10] = [
 ];
 
 /// Takes what is there; what it printed.
-pub fn once(desk: &Desk) -> crate::Done {
+pub fn once(desk: &Desk) -> Done {
     desk.succeeds(&[&WATCH[..], &["--once"]].concat())
 }
 

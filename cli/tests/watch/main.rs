@@ -1,0 +1,23 @@
+//! `cophase watch`: each frame counts exactly once, also across kills, restarts and full disks.
+
+mod browser;
+mod common;
+mod corrections;
+#[path = "../../../tests/common/desk.rs"]
+mod desk;
+mod faults;
+mod folder;
+mod night;
+mod page;
+mod stream;
+
+use common::*;
+use cophase_watch::rusqlite;
+use desk::{Desk, Done, SMALL, number, text_column};
+use ndarray::Array3;
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+/// The program under test.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_cophase");
