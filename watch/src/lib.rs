@@ -24,3 +24,7 @@ mod store;
 mod stream;
 mod tracking;
 mod watcher;
+
+/// For tests that read the store.
+#[doc(hidden)]
+pub use rusqlite;

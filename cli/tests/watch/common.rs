@@ -1,9 +1,10 @@
 //! Frames for a watch, a watch that runs, and the wait for what it does.
 
 use crate::desk::{Desk, Done};
+use cophase_watch::rusqlite;
 use ndarray::Array3;
 use std::path::Path;
-use std::process::{Child, Stdio};
+use std::process::Child;
 use std::time::{Duration, Instant};
 
 /// Nothing here takes longer, on a machine that does other work, too; a test that waits as long has failed.

@@ -13,11 +13,10 @@ mod stream;
 
 use common::*;
 use cophase_watch::rusqlite;
-use desk::{Desk, Done, SMALL, number, text_column};
-use ndarray::Array3;
+use desk::{Desk, Done, SMALL};
 use std::path::Path;
 use std::process::{Child, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The program under test.
 const PROGRAM: &str = env!("CARGO_BIN_EXE_cophase");
