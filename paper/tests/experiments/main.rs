@@ -7,7 +7,6 @@ mod channels;
 mod command_line;
 #[path = "../../../tests/common/desk.rs"]
 mod desk;
-mod hard_cases;
 mod leak;
 mod metrics;
 mod night_table;

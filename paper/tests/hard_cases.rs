@@ -63,7 +63,62 @@ fn of<'a>(found: &'a HardCases, name: &str) -> &'a [Verdict] {
     &found.cases.iter().find(|(case, _)| case.name == name).unwrap().1
 }
 
+/// One or two of each group, of a fraction of a second each.
+const FAST: [&str; 12] = [
+    "64 nm pistons, 73 nm NCPA",
+    "peak S/N 5",
+    "defocus 0.25 waves",
+    "counts with EGAIN = 20",
+    "no defocus",
+    "flat frame",
+    "double star",
+    "plate scale 1 % large",
+    "counts read as electrons",
+    "image flipped left to right",
+    "hot pixel",
+    "saturated at half the peak",
+];
+
+/// One draw of each case: those that are right are not flagged, and those that cannot be right are.
+fn are_right_or_flagged(names: &[&str]) -> HardCases {
+    let found = tried(names, 1).unwrap();
+    assert_eq!(found.cases.len(), names.len());
+    for (case, verdicts) in &found.cases {
+        for verdict in verdicts {
+            assert!(!verdict.is_wrong_and_unflagged(), "{}: {verdict:?}", case.name);
+            assert_eq!(verdict.word == "refused", verdict.sentence.is_some(), "{}", case.name);
+            let is_flagged = FLAGGED.contains(&case.name);
+            assert!(!is_flagged || verdict.is_flagged(), "{}: {verdict:?}", case.name);
+            let is_right = RIGHT.contains(&case.name) || RIGHT_SEQUENCES.contains(&case.name);
+            assert!(!is_right || (verdict.is_right() && !verdict.is_flagged()), "{}: {verdict:?}", case.name);
+            if !RIGHT.contains(&case.name) {
+                continue;
+            }
+            // Chains that differ in precision end within a step tolerance (0.001 nm) of each other, but for what f32 cannot
+            // resolve: of a faint star a good part of its error bar.
+            assert!(verdict.f32_nm < 0.02f64.max(0.02 * verdict.sigma_nm[1]), "{}: {verdict:?}", case.name);
+            // In double precision both stop at the same step; NaN where there is no OpenCL.
+            assert!(verdict.opencl_nm.is_nan() || verdict.opencl_nm < 1e-3, "{}: {verdict:?}", case.name);
+        }
+    }
+    // One image cannot know that it is flipped.
+    let [verdict] = of(&found, "image flipped left to right") else { panic!("one draw was asked for") };
+    assert!(verdict.is_right_given_orientation() && !verdict.is_flagged(), "{verdict:?}");
+    let csv = found.table().csv();
+    assert!(csv.lines().count() == 1 + names.len() && csv.starts_with("group,case,tried,right"), "{csv}");
+    found
+}
+
 #[test]
+fn fast_selection_is_right_or_flagged() {
+    let found = are_right_or_flagged(&FAST);
+    let groups: std::collections::BTreeSet<_> =
+        found.cases.iter().map(|(case, _)| format!("{:?}", case.group)).collect();
+    assert!(groups.len() >= 4, "{groups:?}");
+}
+
+#[test]
+#[ignore = "merge: 36 cases, or all of them where COPHASE_LONG_TESTS is set"]
 fn wrong_estimates_are_flagged() {
     let names: Vec<&str> = if std::env::var_os("COPHASE_LONG_TESTS").is_some() {
         // The cases whose draws are tried five times as often are covered below.
@@ -71,44 +126,16 @@ fn wrong_estimates_are_flagged() {
     } else {
         [&RIGHT[..], &RIGHT_SEQUENCES, &FLAGGED, &OTHERS].concat()
     };
-    let found = tried(&names, 1).unwrap();
-    assert_eq!(found.cases.len(), names.len());
-    for (case, verdicts) in &found.cases {
-        for verdict in verdicts {
-            assert!(!verdict.is_wrong_and_unflagged(), "{}: {verdict:?}", case.name);
-            assert_eq!(verdict.word == "refused", verdict.sentence.is_some(), "{}", case.name);
-        }
-    }
-    for name in [&RIGHT[..], &RIGHT_SEQUENCES].concat() {
-        for verdict in of(&found, name) {
-            assert!(verdict.is_right() && !verdict.is_flagged(), "{name}: {verdict:?}");
-        }
-    }
-    for name in RIGHT {
-        for verdict in of(&found, name) {
-            // Chains that differ in precision end within a step tolerance (0.001 nm) of each other, but for what f32 cannot
-            // resolve: of a faint star a good part of its error bar.
-            assert!(verdict.f32_nm < 0.02f64.max(0.02 * verdict.sigma_nm[1]), "{name}: {verdict:?}");
-            // In double precision both stop at the same step; NaN where there is no OpenCL.
-            assert!(verdict.opencl_nm.is_nan() || verdict.opencl_nm < 1e-3, "{name}: {verdict:?}");
-        }
-    }
+    let found = are_right_or_flagged(&names);
     // What one image cannot know is neither called right nor hidden: 5 % of 1.5 waves are 163 nm of focus.
     let [verdict] = of(&found, "defocus 5 % large") else { panic!("one draw was asked for") };
     assert!(verdict.is_right_given_diversity() && (verdict.error_nm[1] - 163.0).abs() < 2.0, "{verdict:?}");
-    // Nor can it know that it is flipped.
-    let [verdict] = of(&found, "image flipped left to right") else { panic!("one draw was asked for") };
-    assert!(verdict.is_right_given_orientation() && !verdict.is_flagged(), "{verdict:?}");
     // A note says that they were masked.
     assert!(of(&found, "pixels that are NaN").iter().all(|verdict| verdict.is_right() && verdict.word == "warned"));
-    for name in FLAGGED {
-        assert!(of(&found, name).iter().all(Verdict::is_flagged), "{name}");
-    }
-    let csv = found.table().csv();
-    assert!(csv.lines().count() == 1 + names.len() && csv.starts_with("group,case,tried,right"), "{csv}");
 }
 
 #[test]
+#[ignore = "merge: draws"]
 fn pistons_of_400_and_500_nm_are_caught() {
     let found = tried(&["pistons 400 nm", "pistons 500 nm"], 2).unwrap();
     for (case, verdicts) in &found.cases {
@@ -119,6 +146,7 @@ fn pistons_of_400_and_500_nm_are_caught() {
 }
 
 #[test]
+#[ignore = "merge: draws"]
 fn a_wrong_minimum_is_left_by_another_start() {
     let names = ["pistons 500 nm, defocus 0.5 waves", "the same, 0.5 waves, one try"];
     let found = tried(&names, 8).unwrap();
@@ -129,6 +157,7 @@ fn a_wrong_minimum_is_left_by_another_start() {
 
 /// A wrong minimum adds little to the χ² of a faint star, and a fit of noise adds nothing.
 #[test]
+#[ignore = "merge: draws"]
 fn faint_stars_are_right_or_flagged() {
     let names = ["pistons 500 nm, peak S/N 30", "1 electron"];
     let found = tried(&names, 8).unwrap();
