@@ -60,7 +60,7 @@ fn parts_make_the_file_of_one_run() {
     for of in [1, 3, 16] {
         let said = merged(&desk, &["images.fits"], of);
         are_the_same(&desk.path("whole.fits"), &desk.path("merged.fits"));
-        // Fits were found by their keys, and merge made none of the twelve itself; what it restarts is the outlier.
+        // Merge makes none of the twelve first fits; what it restarts is the outlier.
         let made: usize = said.split(' ').next().unwrap().parse().unwrap();
         assert!(made <= 6, "{said}");
     }
