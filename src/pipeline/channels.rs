@@ -26,8 +26,8 @@ pub(super) struct ChannelImages<'a> {
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
 
-/// Estimates the wavefront behind the images of all channels of `scene`; fits that the `series` of the first of [`by_diversity`] have are
-/// taken.
+/// Estimates the wavefront behind the images of all channels of `scene`. The `series` are of the channels with diversity, in order:
+/// fits that they have are taken.
 ///
 /// # Errors
 /// Those of each channel's estimate; [`Error::Scene`] for an estimate that channels do not have.
@@ -132,14 +132,12 @@ impl<'a> Channels<'a> {
     }
 
     /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
-    fn fit_with_extensions(&self, mut series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
-        let (mut fits, joint) = self.fit(series.as_deref_mut())?;
-        let chosen = self.explain(&mut fits, series.as_deref_mut())?;
-        let Some((chosen, selected)) = chosen else { return Ok((fits, joint)) };
+    fn fit_with_extensions(&self, series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
+        let (mut fits, joint) = self.fit(series)?;
+        let Some((chosen, selected)) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
         let extended = self.extended(&selected.settings)?;
-        series.iter_mut().flat_map(|series| series.iter_mut()).for_each(FitSeries::clear);
-        let (mut fits, joint) = extended.fit(series)?;
-        extended.explain(&mut fits, None)?;
+        let (mut fits, joint) = extended.fit(None)?;
+        extended.explain(&mut fits)?;
         fits[chosen].selected = Some(selected);
         Ok((fits, joint))
     }
@@ -170,10 +168,9 @@ impl<'a> Channels<'a> {
     }
 
     /// Looks for the causes of residuals, until one channel has a larger model that explains it: its number, and that model.
-    fn explain(&self, fits: &mut [Fitted], mut series: Option<&mut [FitSeries]>) -> Result<Option<(usize, Selected)>> {
+    fn explain(&self, fits: &mut [Fitted]) -> Result<Option<(usize, Selected)>> {
         for (channel, fitted) in fits.iter_mut().enumerate() {
-            let series = series.as_deref_mut().and_then(|series| series.get_mut(channel));
-            self.named(channel, explain(&self.task(channel), fitted, series))?;
+            self.named(channel, explain(&self.task(channel), fitted))?;
             if let Some(selected) = fitted.selected.take() {
                 return Ok(Some((channel, selected)));
             }

@@ -5,7 +5,7 @@ use super::misfit;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{self, Selected};
 use crate::Result;
-use crate::modal::{FitSeries, ModalEstimate};
+use crate::modal::ModalEstimate;
 use crate::scene::Scene;
 use std::time::Instant;
 
@@ -17,12 +17,11 @@ pub(super) fn is_mean_misfit(found: &ModalEstimate) -> bool {
     found.used() > 1 && found.mean_residual_chi2 > MEAN_RESIDUAL_MISFIT
 }
 
-/// Looks for the cause of the residual of `fitted`, and for a larger model that explains the images: they are then fitted by that,
-/// and their fits replace those of `series`.
+/// Looks for the cause of the residual of `fitted`, and for a larger model that explains the images: they are then fitted by that.
 ///
 /// # Errors
 /// Those of the fits, and [`crate::Error::Interrupted`].
-pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted, series: Option<&mut FitSeries>) -> Result<()> {
+pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     // Only a misfit asks for a cause.
     let (is_explained, is_mean_misfit) = (fitted.is_explained(), is_mean_misfit(&fitted.fit.1));
     if is_explained && !is_mean_misfit {
@@ -39,11 +38,7 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted, series: Option<&mut
     }
     let mut fit_seconds = 0.0;
     if let Some(selected) = &fitted.selected {
-        let series = series.map(|series| {
-            series.clear();
-            series
-        });
-        fitted.fit = task.fit_by(&selected.scene, series)?;
+        fitted.fit = task.fit_by(&selected.scene, None)?;
         fit_seconds = fitted.fit.1.seconds;
     }
     fitted.model_seconds += started.elapsed().as_secs_f64() - fit_seconds;

@@ -19,9 +19,9 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// Those of the fits, and [`crate::Error::Interrupted`].
-pub(super) fn estimate(task: &ModalTask, mut series: Option<&mut FitSeries>) -> Result<Estimate> {
-    let mut fitted = task.fit(series.as_deref_mut())?;
-    explain(task, &mut fitted, series)?;
+pub(super) fn estimate(task: &ModalTask, series: Option<&mut FitSeries>) -> Result<Estimate> {
+    let mut fitted = task.fit(series)?;
+    explain(task, &mut fitted)?;
     fitted.into_estimate(task.policy)
 }
 

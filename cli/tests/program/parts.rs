@@ -77,8 +77,7 @@ fn few_images_channels_and_larger_models_have_parts_too() {
     let tilted = ["image", "scene.toml", "-o", "tilted.fits", "--set", "image.count=2", "--set"];
     desk.succeeds(&[&tilted[..], &["aberrations.segment_tip_tilt_rms_nm=40"]].concat());
     desk.succeeds(&["estimate", "tilted.fits", "-o", "whole.fits"]);
-    let said = merged(&desk, &["tilted.fits"], 2);
-    assert!(!said.starts_with("0 fits"), "{said}");
+    assert!(merged(&desk, &["tilted.fits"], 2).starts_with("0 fits"), "those by the scene's model are in the parts");
     are_the_same(&desk.path("whole.fits"), &desk.path("merged.fits"));
     // Two channels.
     let pair = std::fs::read_to_string(desk.path("scene.toml")).unwrap().replacen(

@@ -2,14 +2,22 @@
 
 use super::{Fits, FittedPart, Part};
 use crate::io::{Card, Column, FitsReader, FitsWriter, Pixel};
-use crate::modal::{CHAINS, StoredFit};
+use crate::modal::{Minimum, StoredFit};
 use crate::optimize::StopReason;
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::path::Path;
 
-/// Columns of the numbers of a fit, in the order of [`StoredFit::numbers`].
-const NUMBERS: [&str; 7] = ["FLUX_E", "BACKGROUND_E", "CHI2", "CHI2_LEAST", "CHI2_SCATTER", "SQUARE_SNR", "FREEDOM"];
+/// Columns of the numbers of a fit.
+const NUMBERS: [(&str, fn(&mut Minimum) -> &mut f64); 7] = [
+    ("FLUX_E", |fit| &mut fit.flux_e),
+    ("BACKGROUND_E", |fit| &mut fit.background_e),
+    ("CHI2", |fit| &mut fit.chi2.value),
+    ("CHI2_LEAST", |fit| &mut fit.chi2.least),
+    ("CHI2_SCATTER", |fit| &mut fit.chi2.scatter),
+    ("SQUARE_SNR", |fit| &mut fit.chi2.square_snr),
+    ("FREEDOM", |fit| &mut fit.chi2.freedom),
+];
 
 impl FittedPart {
     /// Writes the part, whole or not at all: the cards `PART`, `PARTS` and `NIMAGES`, the tables `FITS`, a row for each fit, and
@@ -33,15 +41,15 @@ impl FittedPart {
             integers("CHANNEL", &|(channel, _), _| channel),
             integers("IMAGE", &|(_, image), _| image),
             integers("STEP", &|_, fit| fit.step),
-            Column::text("CHAIN", rows().map(|(_, fit)| fit.chain)),
-            integers("MODES", &|_, fit| fit.coefficients_nm.len()),
+            Column::text("CHAIN", rows().map(|(_, fit)| &fit.chain)),
+            integers("MODES", &|_, fit| fit.minimum.coefficients_nm.len()),
             integers("PIXELS", &|_, fit| fit.weights.len()),
-            integers("EVALUATIONS", &|_, fit| fit.evaluations),
-            Column::text("REASON", rows().map(|(_, fit)| fit.reason.to_string())),
+            integers("EVALUATIONS", &|_, fit| fit.minimum.evaluations),
+            Column::text("REASON", rows().map(|(_, fit)| fit.minimum.reason.to_string())),
         ];
-        let number =
-            |(at, name): (usize, &&str)| Column::f64(name, "", rows().map(|(_, fit)| fit.numbers[at]).collect());
-        columns.extend(NUMBERS.iter().enumerate().map(number));
+        columns.extend(NUMBERS.iter().map(|(name, number)| {
+            Column::f64(name, "", rows().map(|(_, fit)| *number(&mut fit.minimum.clone())).collect())
+        }));
         file.table("FITS", &columns)?;
         file.table("COMMAND", &[Column::text("WORD", &self.command)])?;
         let mut row = |name, unit, of: fn(&StoredFit) -> &[f64]| -> Result<()> {
@@ -52,7 +60,7 @@ impl FittedPart {
             let row = Array2::from_shape_vec((1, values.len()), values);
             file.image(name, &row.map_err(|error| Error::Internal(error.to_string()))?, Pixel::F64, unit)
         };
-        row("COEFFICIENTS", "nm", |fit| &fit.coefficients_nm)?;
+        row("COEFFICIENTS", "nm", |fit| &fit.minimum.coefficients_nm)?;
         row("WEIGHTS", "", |fit| &fit.weights)?;
         file.finish()
     }
@@ -85,7 +93,7 @@ impl FittedPart {
         let [channels, image_numbers, steps] = [integers("CHANNEL")?, integers("IMAGE")?, integers("STEP")?];
         let [modes, pixels, evaluations] = [integers("MODES")?, integers("PIXELS")?, integers("EVALUATIONS")?];
         let [chains, reasons] = [file.text_column("FITS", "CHAIN")?, file.text_column("FITS", "REASON")?];
-        let numbers = NUMBERS.map(|name| file.f64_column("FITS", name));
+        let numbers = NUMBERS.map(|(name, _)| file.f64_column("FITS", name));
         let numbers = numbers.into_iter().collect::<Result<Vec<_>>>()?;
         let mut values = |name: &str, sizes: &[usize]| -> Result<Vec<Vec<f64>>> {
             let values = if file.has(name) { file.row(Some(name))? } else { Vec::new() };
@@ -94,17 +102,12 @@ impl FittedPart {
         let pairs = values("COEFFICIENTS", &modes)?.into_iter().zip(values("WEIGHTS", &pixels)?);
         let mut fits = Fits::new();
         for (row, (coefficients_nm, weights)) in pairs.enumerate() {
-            let chain = CHAINS.into_iter().find(|chain| *chain == chains[row]);
             let reason = StopReason::ALL.into_iter().find(|reason| reason.to_string() == reasons[row]);
-            fits.entry((channels[row], image_numbers[row])).or_default().push(StoredFit {
-                step: steps[row],
-                chain: chain.ok_or_else(|| damaged("CHAIN"))?,
-                coefficients_nm,
-                weights,
-                evaluations: evaluations[row],
-                reason: reason.ok_or_else(|| damaged("REASON"))?,
-                numbers: std::array::from_fn(|at| numbers[at][row]),
-            });
+            let (evaluations, reason) = (evaluations[row], reason.ok_or_else(|| damaged("REASON"))?);
+            let mut minimum = Minimum { coefficients_nm, evaluations, reason, ..Minimum::empty(0) };
+            NUMBERS.iter().zip(&numbers).for_each(|((_, number), column)| *number(&mut minimum) = column[row]);
+            let fit = StoredFit { step: steps[row], chain: chains[row].clone(), minimum, weights };
+            fits.entry((channels[row], image_numbers[row])).or_default().push(fit);
         }
         Ok(Self { part, images, command: file.text_column("COMMAND", "WORD")?, identity, fits })
     }
