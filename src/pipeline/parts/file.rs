@@ -8,8 +8,11 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use std::path::Path;
 
+/// Name of a column and the number of a fit in it.
+type NumberColumn = (&'static str, fn(&mut Minimum) -> &mut f64);
+
 /// Columns of the numbers of a fit.
-const NUMBERS: [(&str, fn(&mut Minimum) -> &mut f64); 7] = [
+const NUMBERS: [NumberColumn; 7] = [
     ("FLUX_E", |fit| &mut fit.flux_e),
     ("BACKGROUND_E", |fit| &mut fit.background_e),
     ("CHI2", |fit| &mut fit.chi2.value),
