@@ -12,17 +12,17 @@ pub(super) fn pixel_variance(electrons: f64, floor_variance_e2: f64) -> f64 {
 
 /// χ² per degree of freedom of a minimum, and its distribution where the model is right.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct ReducedChi2 {
+pub(crate) struct ReducedChi2 {
     /// χ² per degree of freedom.
-    pub(super) value: f64,
+    pub(crate) value: f64,
     /// Smallest expectation: 1 where all variances are stated, the stated part of them on average otherwise.
-    pub(super) least: f64,
+    pub(crate) least: f64,
     /// Standard deviation.
-    pub(super) scatter: f64,
+    pub(crate) scatter: f64,
     /// Square of the star's signal-to-noise ratio, over all pixels.
-    pub(super) square_snr: f64,
+    pub(crate) square_snr: f64,
     /// Degrees of freedom.
-    pub(super) freedom: f64,
+    pub(crate) freedom: f64,
 }
 
 impl ReducedChi2 {

@@ -3,10 +3,12 @@
 use super::combine::{self, Combination, ModalEstimate};
 use super::combined_modes::CombinedModes;
 use super::cube::Cube;
-use super::engine::{FitState, ImageFit, Watch};
+use super::engine::{FitState, FitTask, ImageFit, Watch};
+use super::fit_series::{FIRST, FitSeries, SeriesStep};
 use super::fitter::ModalFitter;
 use super::in_focus::NearLikelihood;
 use super::minimum::Minimum;
+use super::outliers::CleanedFrame;
 use super::pistons;
 use super::prepare::{Frame, PreparedFrame, Refusal};
 use super::sequence::SEQUENCE;
@@ -76,10 +78,10 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ModalEstimate> {
-        self.estimate_from(chain, Cube { images_e, bad, read_noise_e }, None, cancel, watch)
+        self.estimate_from(chain, Cube { images_e, bad, read_noise_e }, (None, None), cancel, watch)
     }
 
-    /// As [`ModalFitter::estimate`]; with `start_nm` each image is fitted from there, and not restarted.
+    /// As [`ModalFitter::estimate`]; with `start_nm` each image is fitted from there, and not restarted. Fits that `series` have are taken.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
@@ -87,12 +89,12 @@ impl ModalFitter {
         &self,
         chain: &mut Chain,
         cube: Cube,
-        start_nm: Option<&[f64]>,
+        (start_nm, series): (Option<&[f64]>, Option<&mut FitSeries>),
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ModalEstimate> {
         let started = Instant::now();
-        let fitted = self.fit_all(chain, cube, start_nm, cancel, watch)?;
+        let fitted = self.fit_all(chain, cube, (start_nm, series), cancel, watch)?;
         self.combined(chain, fitted, started)
     }
 
@@ -108,7 +110,7 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
     ) -> Result<ModalEstimate> {
         let started = Instant::now();
-        let mut fitted = self.fit_all(chain, cube, Some(&others.coefficients_nm), cancel, &mut |_, _| {})?;
+        let mut fitted = self.fit_all(chain, cube, (Some(&others.coefficients_nm), None), cancel, &mut |_, _| {})?;
         let near = NearLikelihood::new(self, &fitted.prepared, &mut fitted.minima, others)?;
         let mut estimate = self.combined(chain, fitted, started)?;
         estimate.near = Some(near);
@@ -140,7 +142,8 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ImageFits> {
-        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, None, cancel, watch)?;
+        let FittedCube { refused, indices, prepared, minima } =
+            self.fit_all(chain, cube, (None, None), cancel, watch)?;
         let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
         let mut reports: Vec<ImageReport> = refused
             .into_iter()
@@ -157,24 +160,20 @@ impl ModalFitter {
     }
 
     /// Prepares and fits every image as the recipe says: from `start_nm`, or else from the flat wavefront with restarts of fits in a wrong
-    /// minimum; outlier pixels rejected.
+    /// minimum; outlier pixels rejected. Fits that `series` have are taken, others added to them.
     pub(super) fn fit_all(
         &self,
         chain: &mut Chain,
         cube: Cube,
-        start_nm: Option<&[f64]>,
+        (start_nm, mut series): (Option<&[f64]>, Option<&mut FitSeries>),
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<FittedCube> {
-        let frames = self.frames(&cube)?;
-        let task = self.task(cancel);
-        let mut fit = ImageFit::new(&self.model.preparation, self.model.optics.modes());
-        if let Some(start_nm) = start_nm {
-            fit.start_nm.copy_from_slice(start_nm);
-        }
-        let start_of_all_nm = fit.start_nm.clone();
-        let mut fits = vec![fit; frames.len()];
-        self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
+        let (frames, task) = (self.frames(&cube)?, self.task(cancel));
+        let flat_nm = vec![0.0; self.model.optics.modes()];
+        let start_of_all_nm = start_nm.unwrap_or(&flat_nm);
+        let (mut fits, cleaned) =
+            self.fit_cleaned(chain, &task, (&frames, start_of_all_nm), series.as_deref_mut(), watch)?;
         if !fits.iter().any(ImageFit::is_fitted) {
             let refused = fits.iter().find_map(|fit| match fit.state {
                 FitState::Refused(refusal) => Some(refusal.to_string()),
@@ -182,51 +181,55 @@ impl ModalFitter {
             });
             return Err(Error::Image(refused.unwrap_or_else(|| "there is no image to estimate from".into())));
         }
-        let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
         if start_nm.is_none() {
-            self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
+            self.restart(chain, &task, (&frames, &cleaned), &mut fits, series)?;
         }
         for fit in &mut fits {
-            pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &start_of_all_nm, &self.model);
+            pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, start_of_all_nm, &self.model);
         }
         Ok(FittedCube::from_fits(fits))
     }
 
-    /// Fits the images `share` of the cube of an estimate into the fits that this fitter keeps: the fits that the estimate needs
-    /// of them, as far as they do not depend on the other images. Of a sequence that is for a fit that may be restarted: it is where
-    /// less than half of the share misfit.
+    /// Adds the fits of the images `which` of a cube to `series`, which are of these images: as far as they depend on no other image.
+    /// A fit of a sequence may be restarted, which is decided by all images: here it is where less than half of `which` misfit.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`], except that all images may be unusable.
-    pub(crate) fn fit_share(
+    pub(crate) fn fit_series(
         &self,
         chain: &mut Chain,
         cube: Cube,
-        share: &[usize],
+        (which, series): (&[usize], &mut FitSeries),
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<()> {
         let (all, task) = (self.frames(&cube)?, self.task(cancel));
-        let frames: Vec<Frame> = share.iter().map(|image| all[*image]).collect();
-        let mut fits = vec![ImageFit::new(&self.model.preparation, self.model.optics.modes()); frames.len()];
-        self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
-        let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
+        let frames: Vec<Frame> = which.iter().map(|image| all[*image]).collect();
+        let flat_nm = vec![0.0; self.model.optics.modes()];
+        let (mut fits, cleaned) = self.fit_cleaned(chain, &task, (&frames, &flat_nm), Some(&mut *series), watch)?;
         let misfits = self.reports(&fits).iter().filter(|report| report.status != Status::Ok).count();
         if all.len() < SEQUENCE || 2 * misfits < fits.len() {
-            self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
+            self.restart(chain, &task, (&frames, &cleaned), &mut fits, Some(series))?;
         }
-        // Those at which the estimate looks at the residuals.
-        let flat_nm = vec![0.0; self.model.optics.modes()];
-        let fitted = fits.iter_mut().filter(|fit| fit.is_fitted()).map(|fit| &mut fit.minimum.coefficients_nm);
-        let ends: Vec<&[f64]> = fitted
-            .map(|coefficients_nm| {
-                pistons::wrap_if_monochromatic(coefficients_nm, &flat_nm, &self.model);
-                self.motions.remove(coefficients_nm);
-                coefficients_nm.as_slice()
-            })
-            .collect();
-        self.keep_psfs(&ends);
         Ok(())
+    }
+
+    /// Prepares and fits `frames` from `start_nm`, and rejects outlier pixels. Returns the cleaned frames of the fits that were replaced.
+    fn fit_cleaned(
+        &self,
+        chain: &mut Chain,
+        task: &FitTask,
+        (frames, start_nm): (&[Frame], &[f64]),
+        mut series: Option<&mut FitSeries>,
+        watch: &mut Watch,
+    ) -> Result<(Vec<ImageFit>, Vec<Option<CleanedFrame>>)> {
+        let mut fit = ImageFit::new(&self.model.preparation, self.model.optics.modes());
+        fit.start_nm.copy_from_slice(start_nm);
+        let (mut fits, images) = (vec![fit; frames.len()], (0..frames.len()).collect::<Vec<_>>());
+        let step = series.as_deref_mut().map(|series| SeriesStep { series, images: &images, step: FIRST });
+        self.fit_frames(chain, task, frames, &mut fits, step, watch)?;
+        let cleaned = self.reject_outliers(chain, task, frames, &mut fits, series)?;
+        Ok((fits, cleaned))
     }
 
     /// The frames of `cube`.

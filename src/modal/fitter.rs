@@ -5,7 +5,6 @@ use super::engine::FitTask;
 use super::fisher;
 use super::fitted_optic::FittedOptic;
 use super::global_motions::GlobalMotions;
-use super::kept_fits::{Hash, KeptFits};
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
@@ -18,7 +17,7 @@ use crate::scene::{Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 /// Fits static modes to images of one scene, and combines the images. A clone shares the model.
 #[derive(Clone)]
@@ -36,10 +35,6 @@ pub struct ModalFitter {
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
     pub(super) fitted_optics: Vec<FittedOptic>,
-    /// Fits that are taken where they are there, and to which others are added.
-    pub(super) kept: Option<Arc<KeptFits>>,
-    /// Hash of the model and the recipe, computed once because it takes an image.
-    pub(super) hash: Arc<OnceLock<Hash>>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -163,8 +158,6 @@ impl ModalFitter {
             shared: diversity_error::shared_error(&model, scene)?.into_iter().collect(),
             scene_basis: Arc::default(),
             fitted_optics: Vec::new(),
-            kept: None,
-            hash: Arc::default(),
             recipe,
             model: Arc::new(model),
         })
@@ -173,11 +166,6 @@ impl ModalFitter {
     /// Whether this fitter was made for `scene` and `recipe`.
     pub(super) fn is_of(&self, scene: &Scene, recipe: &Recipe) -> bool {
         self.recipe == *recipe && self.scene.text() == scene.text() && self.scene.directory() == scene.directory()
-    }
-
-    /// This fitter, which takes fits from `kept` where they are there, and adds others to them.
-    pub(crate) fn keeping(self, kept: Option<&Arc<KeptFits>>) -> Self {
-        Self { kept: kept.cloned(), ..self }
     }
 
     /// The model of the images.

@@ -14,6 +14,7 @@ use super::sequence::SEQUENCE;
 use super::status::ImageReport;
 use crate::scene::Weighting;
 use crate::statistics::median;
+use ndarray::ArrayView1;
 use rayon::prelude::*;
 
 /// Reduced χ² of the mean residual up to which error bars are those of noise and scatter. Over 9,000 pixels its scatter is
@@ -48,9 +49,9 @@ fn chi2(estimator: &ModalFitter, prepared: &[PreparedFrame], minima: &[Minimum],
     let sum_of = |images: &[usize]| {
         let mut sums = vec![(0.0, 0.0); pixels];
         for (minimum, image) in images.iter().map(|&image| (&minima[image], &prepared[image])) {
-            let psf = estimator.psf_at(&minimum.coefficients_nm);
+            let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
             let variance_e2 = variance(&psf, minimum, &image.floor_variance_e2);
-            let data = image.exposure.data_e.iter().zip(&*psf).zip(&variance_e2);
+            let data = image.exposure.data_e.iter().zip(&psf).zip(&variance_e2);
             for (sum, ((data, h), variance)) in sums.iter_mut().zip(data).filter(|(_, (_, v))| v.is_finite()) {
                 sum.0 += (data - minimum.flux_e * h - minimum.background_e) / variance.sqrt();
                 sum.1 += 1.0;

@@ -4,17 +4,17 @@ use super::chi2::ReducedChi2;
 use crate::optimize::StopReason;
 
 /// The minimum of one image.
-#[derive(Clone)]
-pub(super) struct Minimum {
-    pub(super) coefficients_nm: Vec<f64>,
-    pub(super) flux_e: f64,
-    pub(super) background_e: f64,
-    pub(super) evaluations: usize,
-    pub(super) reason: StopReason,
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Minimum {
+    pub(crate) coefficients_nm: Vec<f64>,
+    pub(crate) flux_e: f64,
+    pub(crate) background_e: f64,
+    pub(crate) evaluations: usize,
+    pub(crate) reason: StopReason,
     /// χ² per degree of freedom under the variances of the fitted model.
-    pub(super) chi2: ReducedChi2,
+    pub(crate) chi2: ReducedChi2,
     /// Whether χ² is larger than expected, and every restart ended in another minimum: this one is probably wrong, too.
-    pub(super) is_unconfirmed: bool,
+    pub(crate) is_unconfirmed: bool,
 }
 
 impl Minimum {
@@ -24,7 +24,7 @@ impl Minimum {
     }
 
     /// An empty minimum of `modes` coefficients, to be written by a fit.
-    pub(super) fn empty(modes: usize) -> Self {
+    pub(crate) fn empty(modes: usize) -> Self {
         Self {
             coefficients_nm: vec![0.0; modes],
             flux_e: f64::NAN,

@@ -1,6 +1,7 @@
 //! Outlier rejection: an image that the model does not explain is fitted again without its outlier pixels.
 
 use super::engine::{FitTask, ImageFit};
+use super::fit_series::{FitSeries, SeriesStep, WITHOUT_OUTLIERS};
 use super::fitter::ModalFitter;
 use super::outliers::{CleanedFrame, OutlierFinder};
 use super::prepare::Frame;
@@ -24,6 +25,7 @@ impl ModalFitter {
         task: &FitTask,
         frames: &[Frame],
         fits: &mut [ImageFit],
+        series: Option<&mut FitSeries>,
     ) -> Result<Vec<Option<CleanedFrame>>> {
         let mut cleaned: Vec<Option<CleanedFrame>> = frames.iter().map(|_| None).collect();
         if !self.recipe.reject_outliers {
@@ -44,7 +46,9 @@ impl ModalFitter {
         let mut again = vec![empty; found.len()];
         let without: Vec<Frame> =
             found.iter().map(|(image, cleaned)| cleaned.frame(frames[*image].read_noise_e)).collect();
-        self.fit_frames(chain, task, &without, &mut again, &mut |_, _| {})?;
+        let images: Vec<usize> = found.iter().map(|(image, _)| *image).collect();
+        let step = series.map(|series| SeriesStep { series, images: &images, step: WITHOUT_OUTLIERS });
+        self.fit_frames(chain, task, &without, &mut again, step, &mut |_, _| {})?;
         for ((image, found), mut again) in found.into_iter().zip(again) {
             again.prepared.rejected_pixels = found.rejected;
             if fits[image].improve(again) {

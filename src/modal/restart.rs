@@ -7,6 +7,7 @@
 //! images of a sequence share is not restarted at all. Where no restart ends at the same χ², the best fit is a misfit.
 
 use super::engine::{FitTask, ImageFit};
+use super::fit_series::{FitSeries, SeriesStep, WITHOUT_OUTLIERS};
 use super::fitter::ModalFitter;
 use super::outliers::CleanedFrame;
 use super::prepare::Frame;
@@ -45,6 +46,7 @@ impl ModalFitter {
         task: &FitTask,
         (frames, cleaned): (&'a [Frame<'a>], &'a [Option<CleanedFrame>]),
         fits: &mut [ImageFit],
+        mut series: Option<&mut FitSeries>,
     ) -> Result<()> {
         let mut confirmed = vec![0; fits.len()];
         for attempt in 1..=self.recipe.restarts {
@@ -64,7 +66,9 @@ impl ModalFitter {
                 ImageFit { start_nm, ..ImageFit::new(&self.model.preparation, self.model.optics.modes()) }
             };
             let mut again: Vec<ImageFit> = failed.iter().map(from).collect();
-            self.fit_frames(chain, task, &failed_frames, &mut again, &mut |_, _| {})?;
+            let step = series.as_deref_mut();
+            let step = step.map(|series| SeriesStep { series, images: &failed, step: WITHOUT_OUTLIERS + attempt });
+            self.fit_frames(chain, task, &failed_frames, &mut again, step, &mut |_, _| {})?;
             for (image, mut again) in failed.into_iter().zip(again) {
                 again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
                 let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());

@@ -109,9 +109,8 @@ impl Colours<'_, '_> {
             control: self.control,
             cache: &ModelCache::default(),
             images: &images,
-            kept: None,
         };
-        let (fitter, found) = task.fit_by(&scene)?;
+        let (fitter, found) = task.fit_by(&scene, None)?;
         let is_fitted = |image: &usize| found.images[*image].reduced_chi2.is_finite();
         let fitted: Vec<usize> = (0..images.len()).filter(is_fitted).collect();
         let by_chi2 =

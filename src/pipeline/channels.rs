@@ -8,15 +8,13 @@ use super::explain::explain;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
-use super::parts::Part;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
-use crate::modal::{CombinedModes, JointEstimate, KeptFits, ModelCache, has_diversity, joint};
+use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, has_diversity, joint};
 use crate::scene::{Optic, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Axis, concatenate};
-use std::sync::Arc;
 
 /// The images of one channel, with the scene that they are read by.
 pub(super) struct ChannelImages<'a> {
@@ -28,8 +26,8 @@ pub(super) struct ChannelImages<'a> {
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
 
-/// Estimates the wavefront behind the images of all channels of `scene`; the first fits of defocused channels are taken from `kept`
-/// where they are there.
+/// Estimates the wavefront behind the images of all channels of `scene`. The `series` are of the channels with diversity, in order:
+/// fits that they have are taken.
 ///
 /// # Errors
 /// Those of each channel's estimate; [`Error::Scene`] for an estimate that channels do not have.
@@ -39,11 +37,11 @@ pub(super) fn estimate(
     control: &Control,
     cache: &ModelCache,
     channels: &[ChannelImages],
-    kept: Option<&Arc<KeptFits>>,
+    series: Option<&mut [FitSeries]>,
 ) -> Result<Estimate> {
     let [with, in_focus] = by_diversity(channels);
-    let defocused = Channels { kept, ..Channels::new(scene, policy, control, cache, &with)? };
-    let (mut fits, mut found) = defocused.fit_with_extensions()?;
+    let defocused = Channels::new(scene, policy, control, cache, &with)?;
+    let (mut fits, mut found) = defocused.fit_with_extensions(series)?;
     let (mut used, mut left_out) = (with.clone(), Vec::new());
     if !in_focus.is_empty() {
         let others =
@@ -75,26 +73,6 @@ pub(super) fn estimate(
     Ok(estimate)
 }
 
-/// Fits the images of a part of each defocused channel into `kept`.
-///
-/// # Errors
-/// Those of the fits.
-pub(super) fn fit_share(
-    scene: &Scene,
-    policy: &Policy,
-    control: &Control,
-    cache: &ModelCache,
-    channels: &[ChannelImages],
-    (kept, part): (&Arc<KeptFits>, Part),
-) -> Result<()> {
-    let [with, _] = by_diversity(channels);
-    let channels = Channels { kept: Some(kept), ..Channels::new(scene, policy, control, cache, &with)? };
-    (0..with.len()).try_for_each(|channel| {
-        let task = channels.task(channel);
-        channels.named(channel, task.fit_share(&part.items(task.images.len())))
-    })
-}
-
 /// The channels that determine the signs of the wavefront by themselves, and those in focus; the first are all where none does.
 pub(super) fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
     let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
@@ -102,18 +80,19 @@ pub(super) fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'
 }
 
 /// The channels of a scene, and how they are fitted.
-struct Channels<'a> {
+pub(super) struct Channels<'a> {
     scene: &'a Scene,
     channels: &'a [&'a ChannelImages<'a>],
     /// Scene and Karhunen-Loève basis by which each is fitted.
     scenes: Vec<(Scene, ModelCache)>,
     policy: Policy,
     control: &'a Control,
-    kept: Option<&'a Arc<KeptFits>>,
 }
 
 impl<'a> Channels<'a> {
-    fn new(
+    /// # Errors
+    /// Those of a scene.
+    pub(super) fn new(
         scene: &'a Scene,
         policy: &Policy,
         control: &'a Control,
@@ -125,8 +104,7 @@ impl<'a> Channels<'a> {
             let cache = cache.for_scene(&channels[0].scene, &own);
             Ok((own, cache))
         });
-        let kept = None;
-        Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control, kept })
+        Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control })
     }
 
     /// These channels by scenes with `settings`, which no channel extends.
@@ -141,23 +119,24 @@ impl<'a> Channels<'a> {
         Ok(Self { scenes: scenes.collect::<Result<_>>()?, policy, ..*self })
     }
 
-    fn task(&self, channel: usize) -> ModalTask<'_> {
+    /// The fits of the channel `channel`.
+    pub(super) fn task(&self, channel: usize) -> ModalTask<'_> {
         let (scene, cache) = &self.scenes[channel];
         let images = &self.channels[channel].images;
-        ModalTask { scene, policy: &self.policy, control: self.control, cache, images, kept: self.kept }
+        ModalTask { scene, policy: &self.policy, control: self.control, cache, images }
     }
 
     /// Result of the channel `channel`, whose error names it.
-    fn named<T>(&self, channel: usize, result: Result<T>) -> Result<T> {
+    pub(super) fn named<T>(&self, channel: usize, result: Result<T>) -> Result<T> {
         result.map_err(|error| error.of_channel(self.channels[channel].name))
     }
 
     /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
-    fn fit_with_extensions(&self) -> Result<(Vec<Fitted>, JointEstimate)> {
-        let (mut fits, joint) = self.fit()?;
+    fn fit_with_extensions(&self, series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
+        let (mut fits, joint) = self.fit(series)?;
         let Some((chosen, selected)) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
         let extended = self.extended(&selected.settings)?;
-        let (mut fits, joint) = extended.fit()?;
+        let (mut fits, joint) = extended.fit(None)?;
         extended.explain(&mut fits)?;
         fits[chosen].selected = Some(selected);
         Ok((fits, joint))
@@ -200,8 +179,11 @@ impl<'a> Channels<'a> {
     }
 
     /// Fits each channel, and again from the results of the others while they contradict each other or do not explain their images.
-    fn fit(&self) -> Result<(Vec<Fitted>, JointEstimate)> {
-        let each = (0..self.channels.len()).map(|channel| self.named(channel, self.task(channel).fit()));
+    fn fit(&self, mut series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
+        let each = (0..self.channels.len()).map(|channel| {
+            let series = series.as_deref_mut().and_then(|series| series.get_mut(channel));
+            self.named(channel, self.task(channel).fit(series))
+        });
         let mut fits = each.collect::<Result<Vec<_>>>()?;
         let mut joint = self.combine(&fits)?;
         for round in (1..=ROUNDS).filter(|_| self.policy.restart) {

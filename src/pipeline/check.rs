@@ -127,13 +127,13 @@ struct Work<'a> {
 impl Work<'_> {
     fn fit(&self, scene: &Scene, cache: &ModelCache) -> Result<Fitted> {
         let (policy, control) = (&self.policy, self.control);
-        ModalTask { scene, policy, control, cache, images: &self.images, kept: None }.fit()
+        ModalTask { scene, policy, control, cache, images: &self.images }.fit(None)
     }
 
     /// Reduced χ² of image `image` with `scene`, without restarts, which a scene that explains it does not need; `None` where the fit fails.
     fn trial_chi2(&self, scene: &Scene, image: usize) -> Result<Option<f64>> {
         let (policy, control, cache) = (&self.policy, self.control, &ModelCache::default());
-        match (ModalTask { scene, policy, control, cache, images: &self.images, kept: None }).fit_one(scene, image) {
+        match (ModalTask { scene, policy, control, cache, images: &self.images }).fit_one(scene, image) {
             // Near the right scene a fit may end at the limit of its evaluations, with a χ² that is lower than elsewhere.
             Ok(fit) => Ok(fit.and_then(|(_, found)| found.images.first().map(|image| image.reduced_chi2))),
             Err(error @ Error::Interrupted(_)) => Err(error),
@@ -243,7 +243,7 @@ impl Work<'_> {
         let image = first_used(fitted);
         let diversity = fitter.diversity_projection()?;
         let (scene, policy, control) = (fitter.scene(), &self.policy, self.control);
-        let task = ModalTask { scene, policy, control, cache, images: &self.images, kept: None };
+        let task = ModalTask { scene, policy, control, cache, images: &self.images };
         let (model, chain) = (fitter.model(), fitter.reference_chain());
         of(&misfit::Case { task, image, model, chain, diversity: &diversity }, found)
     }

@@ -1,6 +1,6 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
-use super::channels::ChannelImages;
+use super::channels::{ChannelImages, by_diversity};
 use super::consistency::{Electrons, reconcile};
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
@@ -32,8 +32,6 @@ pub struct Estimator {
     pub(super) cache: Mutex<(Vec<FileState>, ModelCache)>,
     /// Why a plan does not meet its budget.
     pub(super) shortfall: Option<String>,
-    /// Fits that were made in parts.
-    pub(super) parts: Option<PartFits>,
 }
 
 impl Estimator {
@@ -54,7 +52,7 @@ impl Estimator {
         policy.check(scene)?;
         check_for_estimate(scene)?;
         let (given, (scene, shortfall)) = (scene.clone(), planned(scene, &control)?);
-        Ok(Self { given, scene, policy, control, cache: Mutex::default(), shortfall, parts: None })
+        Ok(Self { given, scene, policy, control, cache: Mutex::default(), shortfall })
     }
 
     /// An estimator of another scene with this one's policy and control. It shares the Karhunen-Loève basis, which takes most
@@ -103,6 +101,11 @@ impl Estimator {
     /// [`Error::Device`] where the device that the scene names does not exist or fails; [`Error::Interrupted`] after
     /// [`Control::cancel`].
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
+        self.estimate_one(images, None)
+    }
+
+    /// [`Estimator::estimate`], with the fits of parts.
+    fn estimate_one(&self, images: &Images, parts: Option<&mut PartFits>) -> Result<Estimate> {
         self.begin(images)?;
         let (cut_images, cut) = images.without_odd_edge(self.given.image.fitted_shape());
         let Ready { scene, images: electrons, cache, notes, remarks } = self.ready(&cut_images)?;
@@ -119,8 +122,9 @@ impl Estimator {
                 )
             }
             Method::Modal | Method::Auto => {
-                let kept = self.kept_for(&scene, &[(&scene, &electrons)])?;
-                modal::estimate(&ModalTask { scene: &scene, policy, control, cache: &cache, images: &electrons, kept })
+                let series = self.series(parts, &scene, &[(&scene, &electrons)], &[electrons.len()])?;
+                let task = ModalTask { scene: &scene, policy, control, cache: &cache, images: &electrons };
+                modal::estimate(&task, series.and_then(|series| series.first_mut()))
             }
         };
         self.control.enter(Stage::Idle, 0);
@@ -161,8 +165,13 @@ impl Estimator {
     /// # Errors
     /// As [`Estimator::estimate`]; [`Error::Shape`] for images of other channels than the scene has.
     pub fn estimate_channels(&self, images: &[Images]) -> Result<Estimate> {
+        self.estimate_each(images, None)
+    }
+
+    /// [`Estimator::estimate_channels`], with the fits of parts.
+    pub(super) fn estimate_each(&self, images: &[Images], parts: Option<&mut PartFits>) -> Result<Estimate> {
         if let ([], [only]) = (self.scene.channels(), images) {
-            return self.estimate(only);
+            return self.estimate_one(only, parts);
         }
         let images = self.begin_channels(images)?;
         let cut = self.cut_channels(&images);
@@ -172,8 +181,9 @@ impl Estimator {
             Method::FullPhase => channel_sequence::estimate(&scene, policy, control, &ready),
             Method::Modal | Method::Auto => {
                 let each: Vec<_> = ready.iter().map(|channel| (&channel.scene, &channel.images)).collect();
-                let kept = self.kept_for(&scene, &each)?;
-                channels::estimate(&scene, policy, control, &self.cache(), &ready, kept)
+                let fitted: Vec<_> = by_diversity(&ready)[0].iter().map(|channel| channel.images.len()).collect();
+                let series = self.series(parts, &scene, &each, &fitted)?;
+                channels::estimate(&scene, policy, control, &self.cache(), &ready, series)
             }
         };
         self.control.enter(Stage::Idle, 0);

@@ -38,7 +38,7 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     }
     let mut fit_seconds = 0.0;
     if let Some(selected) = &fitted.selected {
-        fitted.fit = task.fit_by(&selected.scene)?;
+        fitted.fit = task.fit_by(&selected.scene, None)?;
         fit_seconds = fitted.fit.1.seconds;
     }
     fitted.model_seconds += started.elapsed().as_secs_f64() - fit_seconds;

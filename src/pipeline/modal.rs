@@ -9,18 +9,18 @@ use super::policy::Policy;
 use super::warnings;
 use crate::Result;
 use crate::metrics::MapGram;
-use crate::modal::{self, FittedOptic, Model};
+use crate::modal::{self, FitSeries, FittedOptic, Model};
 use crate::modes::Group;
 use crate::scene::NollRange;
 use ndarray::Array2;
 use std::sync::Arc;
 
-/// Estimates the static wavefront behind the images of one channel.
+/// Estimates the static wavefront behind the images of one channel; fits that `series` have are taken.
 ///
 /// # Errors
 /// Those of the fits, and [`crate::Error::Interrupted`].
-pub(super) fn estimate(task: &ModalTask) -> Result<Estimate> {
-    let mut fitted = task.fit()?;
+pub(super) fn estimate(task: &ModalTask, series: Option<&mut FitSeries>) -> Result<Estimate> {
+    let mut fitted = task.fit(series)?;
     explain(task, &mut fitted)?;
     fitted.into_estimate(task.policy)
 }

@@ -6,9 +6,8 @@ use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::Result;
 use crate::imaging::Chain;
-use crate::modal::{self, CombinedModes, Cube, ImageStatus, KeptFits, ModalFit, ModalFitter, ModelCache, Recipe};
+use crate::modal::{self, CombinedModes, Cube, FitSeries, ImageStatus, ModalFit, ModalFitter, ModelCache, Recipe};
 use crate::scene::Scene;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// What is fitted, and how.
@@ -19,8 +18,6 @@ pub(super) struct ModalTask<'a> {
     pub(super) control: &'a Control,
     pub(super) cache: &'a ModelCache,
     pub(super) images: &'a Electrons<'a>,
-    /// Fits of the images that were made before, and are not made again.
-    pub(super) kept: Option<&'a Arc<KeptFits>>,
 }
 
 /// Fit of the images of one channel.
@@ -44,14 +41,14 @@ impl Fitted {
 }
 
 impl ModalTask<'_> {
-    /// Fits the images by the model of the scene.
+    /// Fits the images by the model of the scene; fits that `series` have are taken.
     ///
     /// # Errors
     /// Those of [`modal::estimate_with`].
-    pub(super) fn fit(&self) -> Result<Fitted> {
+    pub(super) fn fit(&self, series: Option<&mut FitSeries>) -> Result<Fitted> {
         let started = Instant::now();
         self.control.enter(Stage::Preparing, 0);
-        let fit = self.fit_by(self.scene)?;
+        let fit = self.fit_by(self.scene, series)?;
         let model_seconds = started.elapsed().as_secs_f64() - fit.1.seconds;
         Ok(Fitted { fit, selected: None, cause: None, changes: None, model_seconds })
     }
@@ -77,8 +74,13 @@ impl ModalTask<'_> {
     pub(super) fn improve(&self, fitted: &mut Fitted, start_nm: &[f64]) -> Result<bool> {
         let (fitter, before) = &fitted.fit;
         let mut chain = self.open(fitter)?;
-        let again =
-            fitter.estimate_from(&mut chain, self.cube(), Some(start_nm), Some(self.control.flag()), &mut |_, _| {})?;
+        let again = fitter.estimate_from(
+            &mut chain,
+            self.cube(),
+            (Some(start_nm), None),
+            Some(self.control.flag()),
+            &mut |_, _| {},
+        )?;
         self.check()?;
         let (is_better, seconds) = (again.is_better_than(before), before.seconds + again.seconds);
         if is_better {
@@ -106,34 +108,33 @@ impl ModalTask<'_> {
         Chain::open_shared(model.optics.clone(), estimate.device.into(), estimate.precision.into(), capacity)
     }
 
-    /// Fit of all images by `scene`, which is that of the task or an extension of it.
-    pub(super) fn fit_by(&self, scene: &Scene) -> Result<ModalFit> {
+    /// Fit of all images by `scene`, which is that of the task or an extension of it; fits that `series` have are taken.
+    pub(super) fn fit_by(&self, scene: &Scene, series: Option<&mut FitSeries>) -> Result<ModalFit> {
         let fitter = self.fitter(scene)?;
         let mut chain = self.begin(&fitter, self.images.len())?;
-        let Cube { images_e, bad, read_noise_e } = self.cube();
-        let flag = Some(self.control.flag());
-        let found = fitter.estimate(&mut chain, images_e, bad, read_noise_e, flag, &mut |d, a| self.watch(d, a))?;
+        let (starts, flag) = ((None, series), Some(self.control.flag()));
+        let found = fitter.estimate_from(&mut chain, self.cube(), starts, flag, &mut |d, a| self.watch(d, a))?;
         self.check()?;
         Ok((fitter, found))
     }
 
-    /// Fits the images of a part, which the task keeps.
+    /// Adds the fits of the images `which` to `series`, which are of these images.
     ///
     /// # Errors
-    /// Those of [`ModalFitter::fit_share`].
-    pub(super) fn fit_share(&self, images: &[usize]) -> Result<()> {
+    /// Those of [`ModalFitter::fit_series`].
+    pub(super) fn fit_series(&self, which: &[usize], series: &mut FitSeries) -> Result<()> {
         self.control.enter(Stage::Preparing, 0);
         let fitter = self.fitter(self.scene)?;
-        let mut chain = self.begin(&fitter, images.len())?;
+        let mut chain = self.begin(&fitter, which.len())?;
         let flag = Some(self.control.flag());
-        fitter.fit_share(&mut chain, self.cube(), images, flag, &mut |d, a| self.watch(d, a))?;
+        fitter.fit_series(&mut chain, self.cube(), (which, series), flag, &mut |d, a| self.watch(d, a))?;
         self.check()
     }
 
     /// The fitter of all images by `scene`.
     fn fitter(&self, scene: &Scene) -> Result<ModalFitter> {
         let (recipe, flag) = (self.policy.recipe(scene), Some(self.control.flag()));
-        Ok(modal::fitter_of(scene, recipe, self.cache, self.cube(), flag)?.keeping(self.kept))
+        modal::fitter_of(scene, recipe, self.cache, self.cube(), flag)
     }
 
     /// The chain for fits of `count` images, which begin now.

@@ -200,7 +200,7 @@ impl Search<'_> {
         let modes = self.modes_of(&scene)?;
         let estimator = self.fitter(&scene, values, recipe, modes.clone())?;
         let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
-        let fitted = estimator.fit_all(&mut chain, self.cube, None, self.cancel, &mut |_, _| {})?;
+        let fitted = estimator.fit_all(&mut chain, self.cube, (None, None), self.cancel, &mut |_, _| {})?;
         let perturbed = self.perturbed_models(&scene, &estimator, values, &modes)?;
         let mut equations = NormalEquations::new(self.parameters.len(), estimator.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {

@@ -17,7 +17,7 @@ pub(super) fn write(arguments: &Arguments, part: Part, terminal: &Terminal, inte
     outputs::check(&[("-o", &arguments.output)], &arguments.read_files())?;
     let fitted = {
         let bar = terminal.follow();
-        fit(arguments, &work(arguments, &bar, interrupt)?, part)?
+        fit(arguments, &work(arguments, &bar, interrupt)?, part, Vec::new())?
     };
     fitted.write(&arguments.output)?;
     let (output, fits, images) = (arguments.output.display(), counted(fitted.fits(), "fit"), fitted.images);
@@ -35,9 +35,10 @@ pub(super) fn work(arguments: &Arguments, bar: &Wait, interrupt: &Interrupt) -> 
     Work::new(arguments, bar, interrupt)
 }
 
-/// The fits of `part`.
-pub(super) fn fit(arguments: &Arguments, work: &Work, part: Part) -> Result<FittedPart> {
-    let mut fitted = work.estimator.fit_part(&work.images, part).map_err(files::about(arguments.first()))?;
+/// The fits of `part`, some of which may be those of `earlier` parts.
+pub(super) fn fit(arguments: &Arguments, work: &Work, part: Part, earlier: Vec<FittedPart>) -> Result<FittedPart> {
+    let fitted = work.estimator.fit_part(&work.images, part, earlier);
+    let mut fitted = fitted.map_err(files::about(arguments.first()))?;
     fitted.command = command()?;
     Ok(fitted)
 }
@@ -56,7 +57,7 @@ pub fn merge(parts: &[PathBuf], output: PathBuf, flags: [bool; 3], terminal: &Te
     arguments.json |= json;
     arguments.strict |= strict;
     arguments.verbose |= verbose;
-    whole(arguments, &parts, terminal, &interrupt)
+    whole(arguments, parts, terminal, &interrupt)
 }
 
 /// The folder and the words of this command, as a part keeps them.

@@ -18,7 +18,7 @@ use std::process::ExitCode;
 pub(super) fn run(arguments: Arguments, terminal: &Terminal, interrupt: &Interrupt) -> Result<ExitCode> {
     let rank = Rank::of_this_process()?;
     if rank.of == 1 {
-        return whole(arguments, &[], terminal, interrupt);
+        return whole(arguments, Vec::new(), terminal, interrupt);
     }
     share(&arguments, rank, terminal, interrupt).map_err(|error| rank.name(error))
 }
@@ -53,10 +53,9 @@ fn fitted(
     interrupt: &Interrupt,
 ) -> Result<(Work, FittedPart)> {
     // A file of another version, or one that is damaged, is no loss.
-    let earlier: Vec<FittedPart> = parts_in(folder).iter().filter_map(|path| FittedPart::read(path).ok()).collect();
+    let earlier = parts_in(folder).iter().filter_map(|path| FittedPart::read(path).ok()).collect();
     let work = part::work(arguments, bar, interrupt)?;
-    let work = Work { estimator: work.estimator.with_fits_of(&earlier), ..work };
-    let fitted = part::fit(arguments, &work, rank.part()?)?;
+    let fitted = part::fit(arguments, &work, rank.part()?, earlier)?;
     fitted.write(folder.join(name_of(fitted.part)))?;
     Ok((work, fitted))
 }
@@ -85,7 +84,7 @@ fn first(
             }
         }
         if missing.is_empty() {
-            return conclude(arguments, work, &parts, bar, terminal);
+            return conclude(arguments, work, parts, bar, terminal);
         }
         monitors = missing;
         interrupt.check("the other ranks were not done")?;

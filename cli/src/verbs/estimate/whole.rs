@@ -5,7 +5,7 @@ use super::report;
 use super::summary::Summary;
 use crate::verbs::{moves, picture};
 use cophase::Result;
-use cophase::pipeline::{Control, Corrections, Estimate, Estimator, FittedPart, Images, Policy};
+use cophase::pipeline::{Control, Corrections, Estimate, Estimator, FittedPart, Images, PartFits, Policy};
 use cophase::scene::Scene;
 use cophase_view::files;
 use cophase_view::interrupt::Interrupt;
@@ -36,7 +36,7 @@ impl Work {
 /// The estimate from all images; fits of `parts`, where there are some, are not made again.
 pub(super) fn whole(
     mut arguments: Arguments,
-    parts: &[FittedPart],
+    parts: Vec<FittedPart>,
     terminal: &Terminal,
     interrupt: &Interrupt,
 ) -> Result<ExitCode> {
@@ -54,16 +54,20 @@ pub(super) fn whole(
 pub(super) fn conclude(
     arguments: &Arguments,
     work: Work,
-    parts: &[FittedPart],
+    parts: Vec<FittedPart>,
     bar: Wait,
     terminal: &Terminal,
 ) -> Result<ExitCode> {
     let Work { images, estimator, .. } = work;
-    let estimator = if parts.is_empty() { estimator } else { estimator.with_parts(parts)? };
-    let estimate = estimator.estimate_channels(&images).map_err(files::about(arguments.first()))?;
+    let mut parts = if parts.is_empty() { None } else { Some(PartFits::of_all(parts)?) };
+    let estimate = match &mut parts {
+        None => estimator.estimate_channels(&images),
+        Some(parts) => estimator.estimate_from_parts(&images, parts),
+    };
+    let estimate = estimate.map_err(files::about(arguments.first()))?;
     drop(bar);
-    if !parts.is_empty() && arguments.verbose && !arguments.json {
-        let made = counted(estimator.fits_made(), "fit");
+    if let Some(parts) = parts.filter(|_| arguments.verbose && !arguments.json) {
+        let made = counted(parts.made(), "fit");
         terminal.show(&format!("{made} that no part has, because they depend on all images\n"))?;
     }
     let corrections = arguments.are_corrections_wanted().then(|| estimate.corrections(None)).transpose()?;
