@@ -47,25 +47,3 @@ impl Cholesky {
         from_faer(solved.as_ref())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ndarray::array;
-
-    #[test]
-    fn the_factor_whitens_its_own_covariance() {
-        let matrix = array![[4.0, 1.0, 0.5], [1.0, 3.0, -0.2], [0.5, -0.2, 2.0]];
-        let factor = Cholesky::new(matrix.view()).unwrap();
-        let white = factor.solve_lower(factor.solve_lower(matrix.view()).t());
-        // A dozen operations on numbers of order 1: some 1e-15.
-        assert!((&white - &Array2::<f64>::eye(3)).iter().all(|off| off.abs() < 1e-14), "{white}");
-        let right = array![[1.0, 0.0], [2.0, -1.0], [3.0, 0.5]];
-        assert!((matrix.dot(&factor.solve(right.view())) - &right).iter().all(|off| off.abs() < 1e-14));
-        assert!((matrix.dot(&factor.inverse()) - Array2::<f64>::eye(3)).iter().all(|off| off.abs() < 1e-14));
-        // 4·(3·2 − 0.04) − (2 + 0.1) + 0.5·(−0.2 − 1.5), along the first row.
-        assert!((factor.log_determinant() - 20.89_f64.ln()).abs() < 1e-14);
-        let failure = Cholesky::new(array![[1.0, 2.0], [2.0, 1.0]].view()).err().unwrap();
-        assert!(failure.to_string().contains("NonPositivePivot"), "{failure}");
-    }
-}

@@ -94,36 +94,3 @@ pub fn roots(coefficients: &[Complex64]) -> Result<Vec<Complex64>, Failure> {
     let values = companion.eigenvalues().map_err(Failure::new)?;
     Ok(values.into_iter().map(|value| Complex64::new(value.re, value.im)).collect())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ndarray::array;
-
-    #[test]
-    fn roots_of_known_polynomials() {
-        // (λ − 2)(λ² + 1) = λ³ − 2λ² + λ − 2; simple, well separated roots: a few ε.
-        let mut found = roots(&[-2.0, 1.0, -2.0].map(Complex64::from)).unwrap();
-        found.sort_by(|a, b| a.im.total_cmp(&b.im));
-        for (found, known) in found.iter().zip([-Complex64::i(), Complex64::from(2.0), Complex64::i()]) {
-            assert!((found - known).norm() < 1e-14, "{found} against {known}");
-        }
-        assert_eq!(roots(&[Complex64::new(0.5, 1.0)]).unwrap(), [Complex64::new(-0.5, -1.0)]);
-    }
-
-    #[test]
-    fn decompositions_give_their_matrix_back() {
-        let matrix = array![[3.0, 1.0, 0.0], [1.0, 2.0, -0.5], [0.0, -0.5, 1.0]];
-        // A dozen operations on numbers of order 1: some 1e-15.
-        let is_matrix = |found: Array2<f64>| (found - &matrix).iter().all(|off| off.abs() < 1e-14);
-        let svd = svd(matrix.view()).unwrap();
-        assert!(is_matrix((&svd.left * &ndarray::Array1::from(svd.values)).dot(&svd.right.t())));
-        let scale = unit_scale(matrix.view());
-        assert_eq!(scale, 0.5);
-        let eigen = symmetric_eigen(matrix.view(), scale).unwrap();
-        let mut general: Vec<f64> = eigenvalues(matrix.view()).unwrap().iter().map(|value| value.re).collect();
-        general.sort_by(f64::total_cmp);
-        assert!(eigen.values.iter().zip(general).all(|(a, b)| (a - b).abs() < 1e-14));
-        assert!(is_matrix((&eigen.vectors * &ndarray::Array1::from(eigen.values)).dot(&eigen.vectors.t())));
-    }
-}

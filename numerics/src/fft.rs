@@ -44,27 +44,3 @@ macro_rules! plans {
 
 plans!(f32);
 plans!(f64);
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use num_complex::Complex64;
-
-    #[test]
-    fn the_inverse_transform_restores_the_numbers() {
-        let (forward, inverse) = plan_both::<f64>(12);
-        let numbers: Vec<Complex64> = (0..12).map(|i| Complex64::cis(f64::from(i * i))).collect();
-        let mut line = numbers.clone();
-        forward.process(&mut line);
-        // Frequency 0 is the sum: rounding of a dozen numbers of order 1.
-        assert!((line[0] - numbers.iter().sum::<Complex64>()).norm() < 1e-14);
-        inverse.process(&mut line);
-        assert!(line.iter().zip(&numbers).all(|(found, number)| (found / 12.0 - number).norm() < 1e-14));
-    }
-
-    #[test]
-    fn a_pair_has_its_lengths_in_order() {
-        let plans = f32::plan_pair([24, 16], FftDirection::Inverse);
-        assert_eq!(plans.map(|plan| (plan.len(), plan.fft_direction())), [24, 16].map(|n| (n, FftDirection::Inverse)));
-    }
-}

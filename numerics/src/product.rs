@@ -68,23 +68,3 @@ impl<'a> MatrixMut<'a> {
         matmul(self.0.as_mut(), Accum::Add, a.0, b.0, factor, Par::Seq);
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn products_of_parts_are_those_by_hand() {
-        let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
-        let matrix = Matrix::from_rows(&values, 2, 3);
-        let part = matrix.part(0..2, 1..3);
-        let mut out = [0.0; 6];
-        let (mut left, mut right) = MatrixMut::from_rows(&mut out, 2, 3).split_at_column(2);
-        // [2 3; 5 6]·[2 5; 3 6] = [13 28; 28 61], [2 3; 5 6]·[1 4]ᵀ = [14 29]ᵀ.
-        left.assign_product(1.0, part, part.transpose());
-        left.add_product(-2.0, part, part.transpose());
-        let column = [1.0, 4.0];
-        right.add_product(1.0, part, Matrix::from_rows(&column, 2, 1));
-        assert_eq!(out, [-13.0, -28.0, 14.0, -28.0, -61.0, 29.0]);
-    }
-}
