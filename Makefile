@@ -55,7 +55,7 @@ ARCHIVE := $(PROFILE_DIR)/libcophase.a
 # The library alone, and of its kinds the archive alone: beside an rlib cargo drops `lto` without a word. Where nothing
 # has changed cargo is not called, so that `sudo make install` needs no Rust. cargo leaves a file that needs no change as
 # old as it is.
-$(ARCHIVE): Cargo.toml Cargo.lock build.rs $(shell find src kernels -type f)
+$(ARCHIVE): Cargo.toml Cargo.lock build.rs $(shell find src kernels $(wildcard numerics) -type f)
 	$(CARGO) rustc $(CARGOFLAGS) --target-dir $(TARGET_DIR) --profile $(PROFILE) --lib --crate-type staticlib
 	@touch $@
 endif

@@ -1,22 +1,10 @@
-//! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky decomposition; scale of a matrix for the
-//! eigenvalue solver; products of long rows on all cores.
+//! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky decomposition; products of long rows on all
+//! cores.
 
 use crate::{Error, Result};
-use faer::linalg::solvers::{DenseSolveCore, Llt, Solve};
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use cophase_numerics::cholesky::Cholesky;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 use rayon::prelude::*;
-
-/// Power of two by which a matrix is multiplied before its eigenvalues are computed, so that its largest entry is between 1 and 2; 1 for
-/// a matrix of zeros. It changes no digit of the entries.
-///
-/// The divide-and-conquer solver neglects couplings and differences of eigenvalues below 8 ε × max(largest eigenvalue, 1) (faer 0.24,
-/// `tridiag_evd`; LAPACK's `dlaed2` has the same rule for a matrix that was scaled before). Without the scale a matrix of norm 10⁻⁶ has
-/// eigenvalues with errors of 10⁻⁹ of the largest: too large for the threshold of null directions, some 10⁻¹⁰.
-pub(crate) fn unit_scale(matrix: &Array2<f64>) -> f64 {
-    let largest = matrix.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
-    if largest.is_normal() { 2f64.powi(-(largest.log2().floor().clamp(-1000.0, 1000.0) as i32)) } else { 1.0 }
-}
 
 /// Columns of a matrix that a thread combines at once.
 const COLUMNS_AT_ONCE: usize = 4096;
@@ -66,18 +54,15 @@ impl SpdInverse {
     /// [`Error::Internal`] for a matrix that is not positive definite.
     pub(crate) fn new(matrix: &Array2<f64>) -> Result<Self> {
         let size = matrix.nrows();
-        let llt = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
-            .llt(faer::Side::Lower)
-            .map_err(|failure| Error::Internal(format!("a {size}×{size} matrix is not positive: {failure:?}")))?;
-        let log_determinant = (0..size).map(|i| 2.0 * llt.L()[(i, i)].ln()).sum();
-        let inverse = llt.inverse();
-        Ok(Self { inverse: Array2::from_shape_fn((size, size), |(i, j)| inverse[(i, j)]), log_determinant })
+        let factor = Cholesky::new(matrix.view())
+            .map_err(|failure| Error::Internal(format!("a {size}×{size} matrix is not positive: {failure}")))?;
+        Ok(Self { inverse: factor.inverse(), log_determinant: factor.log_determinant() })
     }
 }
 
 /// Cholesky factor L of a symmetric positive definite matrix A = L·Lᵀ. A vector with covariance A is white after L⁻¹.
 pub(crate) struct CholeskyFactor {
-    factor: Llt<f64>,
+    factor: Cholesky,
 }
 
 impl CholeskyFactor {
@@ -87,51 +72,28 @@ impl CholeskyFactor {
     /// [`Error::Value`] for a matrix that is not positive definite.
     pub(crate) fn new(matrix: &Array2<f64>) -> Result<Self> {
         let size = matrix.nrows();
-        let factor = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
-            .llt(faer::Side::Lower)
+        let factor = Cholesky::new(matrix.view())
             .map_err(|_| Error::Value(format!("a {size}×{size} matrix is not positive definite")))?;
         Ok(Self { factor })
     }
 
     /// Rows, and columns, of A.
     pub(crate) fn size(&self) -> usize {
-        self.factor.L().nrows()
+        self.factor.size()
     }
 
     /// A⁻¹·`right`, `[size, columns]`.
     pub(crate) fn solution(&self, right: &Array2<f64>) -> Array2<f64> {
-        let solved = self.factor.solve(faer::Mat::from_fn(right.nrows(), right.ncols(), |i, j| right[[i, j]]));
-        Array2::from_shape_fn(right.dim(), |(i, j)| solved[(i, j)])
+        self.factor.solve(right.view())
     }
 
     /// L⁻¹·`right`, `[size, columns]`, by forward substitution.
     pub(crate) fn whiten(&self, right: &Array2<f64>) -> Array2<f64> {
-        let (rows, columns) = right.dim();
-        let mut solved = faer::Mat::from_fn(rows, columns, |i, j| right[[i, j]]);
-        solve_lower_triangular_in_place(self.factor.L(), solved.as_mut(), faer::Par::Seq);
-        Array2::from_shape_fn((rows, columns), |(i, j)| solved[(i, j)])
+        self.factor.solve_lower(right.view())
     }
 
     /// L⁻¹·`right`.
     pub(crate) fn whiten_vector(&self, right: Array1<f64>) -> Array1<f64> {
         self.whiten(&right.insert_axis(Axis(1))).remove_axis(Axis(1))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use ndarray::array;
-
-    #[test]
-    fn the_factor_whitens_its_own_covariance() {
-        let matrix = array![[4.0, 1.0, 0.5], [1.0, 3.0, -0.2], [0.5, -0.2, 2.0]];
-        let factor = CholeskyFactor::new(&matrix).unwrap();
-        let white = factor.whiten(&factor.whiten(&matrix).reversed_axes());
-        // A dozen operations on numbers of order 1: some 1e-15.
-        assert!((&white - &Array2::<f64>::eye(3)).iter().all(|off| off.abs() < 1e-14), "{white}");
-        let right = array![[1.0, 0.0], [2.0, -1.0], [3.0, 0.5]];
-        assert!((matrix.dot(&factor.solution(&right)) - &right).iter().all(|off| off.abs() < 1e-14));
-        assert!(CholeskyFactor::new(&array![[1.0, 2.0], [2.0, 1.0]]).is_err());
     }
 }

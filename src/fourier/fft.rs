@@ -8,8 +8,8 @@
 use super::real::Real;
 use super::sampling::Sampling;
 use super::workspace::Workspace;
+use cophase_numerics::fft::{Fft, plan_both};
 use num_complex::Complex;
-use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// Zero-padded FFT of one sampling. Plans are shared by all threads; each thread has its own [`Workspace`].
@@ -23,8 +23,7 @@ pub struct FftTransform<T: Real> {
 
 impl<T: Real> FftTransform<T> {
     pub(super) fn new(sampling: Sampling, padded: usize) -> Self {
-        let mut planner = FftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(padded), planner.plan_fft_inverse(padded));
+        let (forward, inverse) = plan_both(padded);
         Self { sampling, padded, forward, inverse }
     }
 

@@ -6,8 +6,8 @@
 //! coefficients as in a DFT, and memory and time are half of a complex transform's.
 
 use super::real::Real;
+use cophase_numerics::fft::{Fft, FftDirection};
 use num_complex::Complex;
-use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// The transform of N×N numbers. Plans are shared by all threads; each thread has its own scratch memory,
@@ -29,7 +29,7 @@ impl<T: Real> HartleyTransform<T> {
                 "a Hartley transform of {side} numbers a side is impossible: an even number is needed"
             )));
         }
-        Ok(Self { side, fft: FftPlanner::new().plan_fft_forward(side) })
+        Ok(Self { side, fft: T::plan(side, FftDirection::Forward) })
     }
 
     /// Numbers along a side.

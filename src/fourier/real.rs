@@ -1,10 +1,11 @@
 //! The floating-point types of the chains.
 
 use super::product::Product;
+use cophase_numerics::fft::FftReal;
 
 /// Floating-point type of a chain: `f32` or `f64`.
 pub trait Real:
-    Product + num_traits::Float + num_traits::FloatConst + num_traits::NumAssign + rustfft::FftNum + Default
+    Product + num_traits::Float + num_traits::FloatConst + num_traits::NumAssign + FftReal + Default
 {
     /// `value`, rounded to this precision.
     fn narrow(value: f64) -> Self;

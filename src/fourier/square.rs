@@ -1,7 +1,7 @@
 //! Transform of a square of numbers along both axes.
 
+use cophase_numerics::fft::Fft;
 use num_complex::Complex64;
-use rustfft::Fft;
 
 /// Transforms a square along both axes, in place, not normalised.
 pub(crate) fn transform_square(field: &mut [Complex64], n: usize, fft: &dyn Fft<f64>) {

@@ -9,8 +9,7 @@ use super::field::Field;
 use super::optics::{Mode, Optics};
 use super::pixels::Pixels;
 use crate::fourier::{Sampling, Transform};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
+use cophase_numerics::product::{Matrix, MatrixMut};
 use ndarray::{ArrayView1, ArrayViewMut1, ArrayViewMut2};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -173,23 +172,23 @@ impl LinearModel<'_> {
         out: ArrayViewMut1<f64>,
     ) {
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
-        let (height, width, count) = (ys.len(), xs.len(), rows.len());
+        let (height, count) = (ys.len(), rows.len());
         // The derivative is written into the whole pupil; only the box is changed, and cleared afterwards.
         colour.field.derivative(mode, &colour.state, &mut buffers.pupil);
-        let samples = MatRef::from_row_major_slice(&buffers.pupil, n, 2 * n);
-        let [d_re, d_im] = [0, n].map(|plane| samples.submatrix(ys.start, plane + xs.start, height, width));
-        let [c, s] = [&colour.waves.cos, &colour.waves.sin].map(|table| MatRef::from_row_major_slice(table, n, m));
-        let [cx, sx] = [c, s].map(|table| table.subrows(xs.start, width));
+        let samples = Matrix::from_rows(&buffers.pupil, n, 2 * n);
+        let [d_re, d_im] = [0, n].map(|plane| samples.part(ys.clone(), plane + xs.start..plane + xs.end));
+        let [c, s] = [&colour.waves.cos, &colour.waves.sin].map(|table| Matrix::from_rows(table, n, m));
+        let [cx, sx] = [c, s].map(|table| table.part(xs.clone(), 0..m));
         // (re + i·im)(c − i·s) along x, then along y.
         let a = &mut buffers.along_x[..2 * height * m];
-        let (re, im) = MatMut::from_row_major_slice_mut(a, height, 2 * m).split_at_col_mut(m);
+        let (re, im) = MatrixMut::from_rows(a, height, 2 * m).split_at_column(m);
         two_products(re, [(1.0, d_re, cx), (1.0, d_im, sx)]);
         two_products(im, [(1.0, d_im, cx), (-1.0, d_re, sx)]);
-        let a = MatRef::from_row_major_slice(&*a, height, 2 * m);
-        let [a_re, a_im] = [0, m].map(|plane| a.subcols(plane, m));
-        let [cy, sy] = [c, s].map(|table| table.submatrix(ys.start, rows.start, height, count).transpose());
+        let a = Matrix::from_rows(&*a, height, 2 * m);
+        let [a_re, a_im] = [0, m].map(|plane| a.part(0..height, plane..plane + m));
+        let [cy, sy] = [c, s].map(|table| table.part(ys.clone(), rows.clone()).transpose());
         let u = &mut buffers.along_y[..2 * count * m];
-        let (re, im) = MatMut::from_row_major_slice_mut(u, count, 2 * m).split_at_col_mut(m);
+        let (re, im) = MatrixMut::from_rows(u, count, 2 * m).split_at_column(m);
         two_products(re, [(1.0, cy, a_re), (1.0, sy, a_im)]);
         two_products(im, [(1.0, cy, a_im), (-1.0, sy, a_re)]);
         for line in buffers.pupil[2 * n * ys.start..2 * n * ys.end].chunks_exact_mut(n) {
@@ -200,9 +199,9 @@ impl LinearModel<'_> {
 }
 
 /// Sum of two products, each times a sign.
-fn two_products(mut out: MatMut<f64>, [first, second]: [(f64, MatRef<f64>, MatRef<f64>); 2]) {
-    matmul(out.as_mut(), Accum::Replace, first.1, first.2, first.0, Par::Seq);
-    matmul(out, Accum::Add, second.1, second.2, second.0, Par::Seq);
+fn two_products(mut out: MatrixMut, [first, second]: [(f64, Matrix, Matrix); 2]) {
+    out.assign_product(first.0, first.1, first.2);
+    out.add_product(second.0, second.1, second.2);
 }
 
 /// Memory of one thread.

@@ -7,7 +7,8 @@
 use super::optics::Optics;
 use super::phasor::Polynomial;
 use crate::fourier::PixelResponse;
-use faer::linalg::solvers::Solve;
+use cophase_numerics::systems::solve;
+use ndarray::Array2;
 use std::ops::Range;
 
 /// Terms of the convolution on either side. Of Keck's spot of 1.5 waves at q = 2, on pixels without gaps, 8 terms are 4e-5 off, 12 are 2e-5
@@ -153,7 +154,7 @@ pub(super) fn pixel_terms(optics: &Optics) -> Option<[Vec<f64>; 2]> {
 fn terms(response: PixelResponse, cut_off: f64) -> Terms<f64> {
     // With a₀ = 1 − 2 Σ aₖ the unknowns are those of 2 (cos(2πkf) − 1).
     let term = |k: usize, f: f64| 2.0 * ((std::f64::consts::TAU * (k + 1) as f64 * f).cos() - 1.0);
-    let (mut normal, mut right) = (faer::Mat::<f64>::zeros(REACH, REACH), faer::Mat::<f64>::zeros(REACH, 1));
+    let (mut normal, mut right) = (Array2::<f64>::zeros((REACH, REACH)), Array2::<f64>::zeros((REACH, 1)));
     for f in (0..FREQUENCIES).map(|i| 0.5 * (i as f64 + 0.5) / FREQUENCIES as f64) {
         let weight = contrast(f / cut_off).powi(2) + LEAST_CONTRAST.powi(2);
         for i in 0..REACH {
@@ -163,7 +164,7 @@ fn terms(response: PixelResponse, cut_off: f64) -> Terms<f64> {
             }
         }
     }
-    let found = normal.partial_piv_lu().solve(&right);
+    let found = solve(normal.view(), right.view());
     std::array::from_fn(|k| match k {
         0 => 1.0 - 2.0 * (0..REACH).map(|i| found[(i, 0)]).sum::<f64>(),
         k => found[(k - 1, 0)],

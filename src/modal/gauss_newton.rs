@@ -5,8 +5,7 @@
 //! finished matrix.
 
 use crate::imaging::LinearModel;
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
+use cophase_numerics::product::{Matrix, MatrixMut};
 use ndarray::{Array1, Array2, ArrayView2, s};
 use rayon::prelude::*;
 
@@ -135,9 +134,9 @@ fn add_gram(a: &Array2<f64>, product: &mut Array2<f64>) {
     let (Some(a), Some(product)) = (a.as_slice(), product.as_slice_mut()) else { return };
     product.par_chunks_mut(STRIP * rows).enumerate().for_each(|(strip, out)| {
         let (first, count) = (strip * STRIP, out.len() / rows);
-        let all = MatRef::from_row_major_slice(&a[..(first + count) * columns], first + count, columns);
-        let out = MatMut::from_row_major_slice_mut(out, count, rows).subcols_mut(0, first + count);
-        matmul(out, Accum::Add, all.subrows(first, count), all.transpose(), 1.0, Par::Seq);
+        let all = Matrix::from_rows(&a[..(first + count) * columns], first + count, columns);
+        let (mut out, _) = MatrixMut::from_rows(out, count, rows).split_at_column(first + count);
+        out.add_product(1.0, all.part(first..first + count, 0..columns), all.transpose());
     });
 }
 
@@ -203,18 +202,11 @@ pub(super) fn times_transposed(a: ArrayView2<f64>, b: ArrayView2<f64>) -> Array2
     if let (Some(a), Some(b), Some(out)) = (a.as_slice(), b.as_slice(), product.as_slice_mut())
         && columns * depth > 0
     {
-        let b = MatRef::from_row_major_slice(b, columns, depth);
+        let b = Matrix::from_rows(b, columns, depth).transpose();
         out.par_chunks_mut(STRIP * columns).zip(a.par_chunks(STRIP * depth)).for_each(|(out, a)| {
             let count = out.len() / columns;
-            let a = MatRef::from_row_major_slice(a, count, depth);
-            matmul(
-                MatMut::from_row_major_slice_mut(out, count, columns),
-                Accum::Replace,
-                a,
-                b.transpose(),
-                1.0,
-                Par::Seq,
-            );
+            let a = Matrix::from_rows(a, count, depth);
+            MatrixMut::from_rows(out, count, columns).assign_product(1.0, a, b);
         });
     }
     product

@@ -10,10 +10,10 @@
 use super::prepare::Frame;
 use crate::scene::Scene;
 use crate::telescope::Filter;
-use faer::linalg::solvers::Solve;
+use cophase_numerics::cholesky::Cholesky;
+use cophase_numerics::fft::{Fft, FftDirection, FftReal};
 use ndarray::{Array2, ArrayViewMut1, Axis, Zip};
 use num_complex::Complex64;
-use rustfft::{Fft, FftDirection, FftPlanner};
 use std::sync::Arc;
 
 /// Standard deviations beyond which a pixel is an outlier: with 100,000 pixels of noise one in 5,000 frames.
@@ -48,7 +48,7 @@ pub(super) struct CleanedFrame {
 
 /// Finds outliers in frames of one scene.
 pub(super) struct OutlierFinder {
-    /// Plans of rows and of columns, forward and inverse.
+    /// Plans forward and inverse, of rows and of columns.
     plans: [[Arc<dyn Fft<f64>>; 2]; 2],
     /// Frequencies beyond D/λ.
     free: Array2<bool>,
@@ -76,9 +76,8 @@ impl OutlierFinder {
             if inside < 1.0 { (0.5 * std::f64::consts::PI * inside).sin().powi(2) } else { 1.0 }
         };
         let window = Array2::from_shape_fn((rows, columns), |(y, x)| taper(y, rows) * taper(x, columns));
-        let mut planner = FftPlanner::new();
-        let plans = [columns, rows]
-            .map(|n| [FftDirection::Forward, FftDirection::Inverse].map(|direction| planner.plan_fft(n, direction)));
+        let plans =
+            [FftDirection::Forward, FftDirection::Inverse].map(|direction| f64::plan_pair([columns, rows], direction));
         let mut finder = Self { plans, kernel: Array2::zeros((0, 0)), square: Array2::default((0, 0)), window, free };
         finder.kernel = finder.inverse(finder.free.mapv(|free| Complex64::from(if free { 1.0 } else { 0.0 })));
         finder.square = finder.forward(&finder.kernel.mapv(|k| k * k));
@@ -148,9 +147,9 @@ impl OutlierFinder {
     /// Excess of each of these pixels, fitted together, e⁻: least squares in the frequencies without light.
     fn fit_excess(&self, outliers: &[(usize, usize)], high_e: &Array2<f64>) -> Option<Vec<f64>> {
         let count = outliers.len();
-        let gram = faer::Mat::from_fn(count, count, |i, j| self.kernel_at(outliers[i], outliers[j]));
-        let solved = gram.llt(faer::Side::Lower).ok()?.solve(faer::Mat::from_fn(count, 1, |i, _| high_e[outliers[i]]));
-        Some((0..count).map(|i| solved[(i, 0)]).collect())
+        let gram = Array2::from_shape_fn((count, count), |(i, j)| self.kernel_at(outliers[i], outliers[j]));
+        let right_e = Array2::from_shape_fn((count, 1), |(i, _)| high_e[outliers[i]]);
+        Some(Cholesky::new(gram.view()).ok()?.solve(right_e.view()).into_iter().collect())
     }
 
     /// The kernel of a pixel at `from`, at `at`.
@@ -172,10 +171,10 @@ impl OutlierFinder {
     }
 
     fn transform(&self, map: &mut Array2<Complex64>, way: usize) {
-        for (axis, plans) in [Axis(1), Axis(0)].into_iter().zip(&self.plans) {
-            let mut line = vec![Complex64::default(); plans[way].len()];
+        for (axis, plan) in [Axis(1), Axis(0)].into_iter().zip(&self.plans[way]) {
+            let mut line = vec![Complex64::default(); plan.len()];
             for mut lane in map.lanes_mut(axis) {
-                through(&*plans[way], &mut line, &mut lane);
+                through(&**plan, &mut line, &mut lane);
             }
         }
     }

@@ -18,9 +18,9 @@ use crate::grid::Grid;
 use crate::machine;
 use crate::pupil::Pupil;
 use crate::{Error, Result};
+use cophase_numerics::fft::{Fft, plan_both};
 use ndarray::{Array2, ArrayView1, ArrayViewMut1, Axis};
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// Samples per actuator pitch below which the grid of the pupil is not used. A Gaussian of 15 % coupling has σ = 0.51 pitch,
@@ -254,8 +254,7 @@ struct Convolution {
 impl Convolution {
     fn new(samples: &Samples, grid: &Grid, turbulence: &VonKarman) -> Self {
         let (size, padded) = (grid.samples(), 2 * grid.samples());
-        let mut planner = FftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(padded), planner.plan_fft_inverse(padded));
+        let (forward, inverse) = plan_both(padded);
         let offset_m = |i: usize| i.min(padded - i) as f64 * grid.pitch_m();
         let kernel = |i: usize| -0.5 * turbulence.structure_nm2(offset_m(i / padded).hypot(offset_m(i % padded)));
         let mut field: Vec<Complex64> = (0..padded * padded).map(|i| kernel(i).into()).collect();

@@ -1,9 +1,8 @@
 //! Whitened coordinates of a least-squares problem, in which its Hessian is a multiple of the identity.
 
 use super::pairs::{add_scaled, dot};
-use crate::linear_algebra::unit_scale;
 use crate::{Error, Result};
-use faer::{Mat, Side};
+use cophase_numerics::decompositions::{SymmetricEigen, symmetric_eigen, unit_scale};
 use ndarray::{Array2, ArrayView2};
 use pulp::{Arch, NullaryFnOnce};
 
@@ -45,14 +44,11 @@ impl Metric {
     /// not symmetric, has a negative eigenvalue beyond the floor, or is zero, or if the floor is not in (0, 1).
     pub fn from_gauss_newton(gauss_newton: &Array2<f64>, relative_floor: f64) -> Result<Self> {
         let n = check(gauss_newton, relative_floor)?;
-        let scale = unit_scale(gauss_newton);
-        let matrix = Mat::from_fn(n, n, |i, j| gauss_newton[[i, j]] * scale);
-        let eigen = matrix
-            .self_adjoint_eigen(Side::Lower)
-            .map_err(|e| Error::Value(format!("the eigenvalues of the Gauss-Newton matrix cannot be found: {e:?}")))?;
         // In ascending order.
-        let values: Vec<f64> = eigen.S().column_vector().iter().map(|value| value / scale).collect();
-        let vectors = eigen.U();
+        let SymmetricEigen { values, vectors } = symmetric_eigen(gauss_newton.view(), unit_scale(gauss_newton.view()))
+            .map_err(|failure| {
+                Error::Value(format!("the eigenvalues of the Gauss-Newton matrix cannot be found: {failure}"))
+            })?;
         let (smallest, largest) = (values[0], values[n - 1]);
         if largest.is_nan() || largest <= 0.0 {
             return Err(Error::Value(format!(
@@ -69,7 +65,7 @@ impl Metric {
         let nullity = (0..n).take_while(|&k| values[k] < floor).count();
         // Largest eigenvalue first: z[0] is the best determined direction.
         let whitening =
-            Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[(i, n - 1 - k)] / values[n - 1 - k].sqrt());
+            Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[[i, n - 1 - k]] / values[n - 1 - k].sqrt());
         Ok(Metric { dimension: n, whitening: Some(whitening), whitened: true })
     }
 

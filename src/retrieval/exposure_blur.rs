@@ -15,8 +15,8 @@ use super::ao_residual::AoResidual;
 use crate::Result;
 use crate::fourier::{fast_side, transform_square};
 use crate::scene::Scene;
+use cophase_numerics::fft::{Fft, plan_both};
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -43,8 +43,7 @@ impl ExposureBlur {
             return Ok(None);
         }
         let padded = fast_side(2 * pixels);
-        let mut planner = FftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(padded), planner.plan_fft_inverse(padded));
+        let (forward, inverse) = plan_both(padded);
         // Baselines are reach_m/padded apart, so that frequencies of the wavefront are 1/reach_m apart.
         let signed = |k: usize| if k <= padded / 2 { k as f64 } else { k as f64 - padded as f64 };
         let rad_per_nm = TAU / scene.image.wavelength_nm;

@@ -4,9 +4,9 @@ use super::random::stream;
 use crate::fourier::PixelResponse;
 use crate::scene::Scene;
 use crate::telescope::pixel_response;
+use cophase_numerics::fft::{FftDirection, FftReal};
 use ndarray::{Array2, Axis};
 use num_complex::Complex64;
-use rustfft::FftPlanner;
 
 /// Random number stream of the pixel responses under the seed of the aberrations; above the streams of the images'
 /// noise.
@@ -48,10 +48,11 @@ impl DetectorPixels {
 /// faint light that wraps around at the edges.
 fn integrate_over_pixels(psf: Array2<f64>, area: PixelResponse) -> Array2<f64> {
     let mut field = psf.mapv(Complex64::from);
-    let mut planner = FftPlanner::new();
-    for axis in [Axis(1), Axis(0)] {
+    let (rows, columns) = field.dim();
+    let [forward, inverse] =
+        [FftDirection::Forward, FftDirection::Inverse].map(|direction| f64::plan_pair([columns, rows], direction));
+    for (axis, (forward, inverse)) in [Axis(1), Axis(0)].into_iter().zip(forward.into_iter().zip(inverse)) {
         let n = field.len_of(axis);
-        let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
         let transfer: Vec<f64> = (0..n)
             .map(|k| {
                 let cycles = if k <= n / 2 { k as f64 } else { k as f64 - n as f64 } / n as f64;

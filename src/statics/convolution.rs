@@ -5,8 +5,8 @@
 
 use crate::fourier::{fast_side, transpose};
 use crate::retrieval::IlluminatedSamples;
+use cophase_numerics::fft::{Fft, FftReal, plan_both};
 use num_complex::Complex;
-use rustfft::{Fft, FftNum, FftPlanner};
 use std::sync::Arc;
 
 /// Plans of the convolutions on the padded grid, of which maps fill the first rows.
@@ -30,17 +30,17 @@ pub(super) struct ConvolutionBuffers<T> {
     scratch: Vec<Complex<T>>,
 }
 
-impl<T: FftNum> Convolver<T> {
+impl<T: FftReal> Convolver<T> {
     pub(super) fn new(samples: &IlluminatedSamples) -> Self {
         // Lags of either sign, up to the grid's width, without wrapping.
         let padded = fast_side(2 * samples.samples);
-        let mut planner = FftPlanner::new();
+        let (forward, inverse) = plan_both(padded);
         Self {
             padded,
             rows: samples.samples,
             indices: samples.indices.iter().map(|&i| i / samples.samples * padded + i % samples.samples).collect(),
-            forward: planner.plan_fft_forward(padded),
-            inverse: planner.plan_fft_inverse(padded),
+            forward,
+            inverse,
         }
     }
 

@@ -25,7 +25,8 @@ struct Package {
     name: &'static str,
 }
 
-const PACKAGES: [Package; 5] = [LIBRARY, VIEW, WATCH, PROGRAM, PAPER];
+const PACKAGES: [Package; 6] = [NUMERICS, LIBRARY, VIEW, WATCH, PROGRAM, PAPER];
+const NUMERICS: Package = Package { folder: "numerics/src", title: " of numerics", name: "cophase_numerics" };
 const LIBRARY: Package = Package { folder: "src", title: "", name: "cophase" };
 const VIEW: Package = Package { folder: "view/src", title: " of view", name: "cophase_view" };
 const WATCH: Package = Package { folder: "watch/src", title: " of the watch", name: "cophase_watch" };
@@ -129,6 +130,21 @@ fn the_library_does_without_the_programs_crates() {
     let dependencies = manifest["dependencies"].as_table().expect("Cargo.toml has dependencies");
     let found: Vec<&String> = absent.iter().filter(|name| dependencies.contains_key(name)).collect();
     assert!(found.is_empty(), "Cargo.toml: the library may not depend on {found:?}");
+}
+
+#[test]
+fn no_other_package_depends_on_what_numerics_has() {
+    let confined: BTreeSet<String> = NUMERICS.rules().confined.into_iter().flat_map(|(names, _)| names).collect();
+    assert!(confined.contains("faer") && confined.contains("rustfft"), "{confined:?}");
+    for package in PACKAGES.iter().filter(|package| package.folder != NUMERICS.folder) {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(package.folder).with_file_name("Cargo.toml");
+        let manifest: toml_edit::DocumentMut =
+            std::fs::read_to_string(&path).expect("readable").parse().expect("Cargo.toml is TOML");
+        let tables = ["dependencies", "dev-dependencies"].map(|table| manifest.get(table).and_then(|it| it.as_table()));
+        let depends = |name: &&String| tables.iter().flatten().any(|table| table.contains_key(name));
+        let found: Vec<&String> = confined.iter().filter(depends).collect();
+        assert!(found.is_empty(), "{}: {found:?} belong in numerics", path.display());
+    }
 }
 
 /// The cycles of all packages' files.
@@ -253,6 +269,8 @@ fn planted_violations_are_found() {
         one_is_found(&LIBRARY, file, text, named);
     }
     for (package, file, text, named) in [
+        (&NUMERICS, "cholesky", "use rustfft::Fft;", "rustfft"),
+        (&LIBRARY, "grid", "use cophase_numerics::fft::Fft;", "fft"),
         (&PROGRAM, "main", "use cophase::fourier;", "fourier"),
         (&PROGRAM, "verbs/plan", "use cophase_view::{plot, panics};", "panics"),
         (&PROGRAM, "verbs/watch", "use cophase_watch::store::Store;", "store"),
@@ -295,6 +313,7 @@ fn allowed_uses_are_no_violations() {
     ] {
         assert_eq!(LIBRARY.judge()(file, text), [""; 0], "{file}: {text}");
     }
+    assert_eq!(LIBRARY.judge()("fourier/fft", "use cophase_numerics::fft::Fft;"), [""; 0]);
     // A module of one package is not that of the same name in another.
     let own_and_foreign = "use crate::tracking::Step; use cophase::{Error, modes::Group};";
     assert_eq!(WATCH.judge()("corrections", own_and_foreign), [""; 0]);

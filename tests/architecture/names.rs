@@ -3,7 +3,7 @@
 use super::texts;
 
 const LIMIT: usize = 60;
-const FOLDERS: [&str; 6] = ["src", "tests", "cli", "view", "watch", "paper"];
+const FOLDERS: [&str; 7] = ["src", "tests", "numerics", "cli", "view", "watch", "paper"];
 
 /// Names of the `#[test]` functions in `text` that are longer than `LIMIT`.
 fn long_names(text: &str) -> Vec<&str> {

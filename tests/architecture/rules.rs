@@ -22,7 +22,7 @@ pub struct Rules {
     /// Places, and the modules that they may use besides those of their own module's row.
     exceptions: Vec<(Names, Names)>,
     /// Names from outside the crate, and the only places where they may stand.
-    confined: Vec<(Names, Names)>,
+    pub confined: Vec<(Names, Names)>,
     /// Crates that the library must not depend on.
     pub absent: Names,
     /// Sets of files, of any package, that use each other in a circle and may for now.

@@ -47,7 +47,7 @@ impl Source {
                 TokenTree::Ident(name) if !continues_a_path(tokens, at) => match name.to_string().as_str() {
                     // The program `cophase-paper` and its library are one package.
                     "crate" | "cophase_paper" if before_colons(tokens, at) => self.follow(tokens, at + 3, 0, ""),
-                    "cophase" | "cophase_view" | "cophase_watch" if before_colons(tokens, at) => {
+                    "cophase" | "cophase_numerics" | "cophase_view" | "cophase_watch" if before_colons(tokens, at) => {
                         self.follow(tokens, at + 3, 0, &format!("{name}::"));
                     }
                     "super" | "self" => self.follow(tokens, at, module.len(), ""),

@@ -3,12 +3,12 @@
 use super::spectrum::{Lattice, POLES, Process};
 use crate::Result;
 use crate::ao::footprint::LANES;
+use cophase_numerics::fft::{Fft, FftDirection, FftReal};
 use num_complex::Complex;
 use pulp::NullaryFnOnce;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
-use rustfft::{Fft, FftPlanner};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -61,7 +61,7 @@ impl Law {
             }
         }
         let stationary = processes.iter().map(|process| process.stationary().map(|row| row.map(|x| x as f32)));
-        let fft = FftPlanner::new().plan_fft_inverse(period);
+        let fft = f32::plan(period, FftDirection::Inverse);
         Ok(Self { period, groups, stationary: stationary.collect(), fft })
     }
 

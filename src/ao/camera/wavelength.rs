@@ -4,9 +4,9 @@ use super::view::{Optics, View, largest_band_cycles};
 use crate::ao::aligned::AlignedBuffer;
 use crate::pupil::{BandLimit, SegmentWeights};
 use crate::{Error, Result};
+use cophase_numerics::fft::{Fft, FftDirection, FftReal};
 use ndarray::Array2;
 use num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// Static field at one wavelength, and its transform.
@@ -51,7 +51,7 @@ impl MonochromaticField {
             )));
         }
         let transform = if length.fract() == 0.0 {
-            Transform::Fft(FftPlanner::new().plan_fft_forward(length as usize))
+            Transform::Fft(f32::plan(length as usize, FftDirection::Forward))
         } else {
             let along = |pixels: usize| {
                 Array2::from_shape_fn((pixels, n), |(u, j)| {

@@ -1,7 +1,7 @@
 //! Inpainting of the slopes of masked subapertures from their neighbours.
 
-use super::linalg::least_squares;
 use crate::{Error, Result};
+use cophase_numerics::systems::least_squares;
 use ndarray::{Array2, s};
 
 /// Inpainting matrix M: replaces the slopes of masked subapertures, separately for the x slopes and the y slopes.
@@ -40,7 +40,7 @@ impl Inpainting {
         }
         let cells = Cells::new(lenslets_across, subapertures, mask);
         let (unknown, known) = cells.equations();
-        let fill = least_squares(&unknown, &known).ok_or_else(|| {
+        let fill = least_squares(unknown.view(), known.view()).ok_or_else(|| {
             let good = mask.iter().filter(|&&masked| !masked).count();
             Error::Value(format!(
                 "{good} unmasked subapertures of {count} do not determine the slopes of the masked ones; mask fewer"
@@ -201,7 +201,7 @@ mod tests {
         let (unknown, known) = cells.equations();
         assert_eq!((cells.good, cells.filled), (29, 7));
         let good: Array1<f64> = (0..cells.good).map(|i| (i as f64 * 1.7).sin()).collect();
-        let fill = least_squares(&unknown, &known).unwrap().dot(&good);
+        let fill = least_squares(unknown.view(), known.view()).unwrap().dot(&good);
         let gradient = unknown.t().dot(&(unknown.dot(&fill) - known.dot(&good)));
         assert!(gradient.iter().all(|value| value.abs() < 1e-13), "{gradient}");
     }

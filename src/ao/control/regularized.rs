@@ -265,6 +265,7 @@ mod tests {
     use super::super::testing::{Bench, scene};
     use super::super::{ControlLaw, Stability};
     use super::*;
+    use cophase_numerics::systems::least_squares;
     use ndarray::Array1;
 
     fn sparse(bench: &Bench, keys: &str) -> ControlLaw {
@@ -286,9 +287,9 @@ mod tests {
             }
         }
         normal.diag_mut().iter_mut().for_each(|value| *value += strength * PISTON);
-        let commands = super::super::linalg::least_squares(&normal, &interaction.t().to_owned()).unwrap();
+        let commands = least_squares(normal.view(), interaction.t()).unwrap();
         let ones = Array2::ones((normal.nrows(), 1));
-        let piston = super::super::linalg::least_squares(&normal, &ones).unwrap();
+        let piston = least_squares(normal.view(), ones.view()).unwrap();
         let sums = ones.t().dot(&commands);
         &commands - &(&piston / piston.sum()).dot(&sums)
     }

@@ -1,8 +1,8 @@
 //! Reduction of a frame to the model's sampling.
 
+use cophase_numerics::fft::{Fft, FftDirection, FftReal};
 use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// Low-passes and decimates frames by cropping their Fourier transforms. The sum of an image is kept; a PSF whose
@@ -57,8 +57,7 @@ struct Line {
 
 impl Line {
     fn new(from: usize, to: usize) -> Self {
-        let mut planner = FftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(from), planner.plan_fft_inverse(to));
+        let (forward, inverse) = (f64::plan(from, FftDirection::Forward), f64::plan(to, FftDirection::Inverse));
         let scratch = forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len());
         let zeros = |size| vec![Complex64::default(); size];
         Self { forward, inverse, full: zeros(from), kept: zeros(to), scratch: zeros(scratch) }

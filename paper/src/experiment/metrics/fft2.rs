@@ -1,8 +1,8 @@
 //! Two-dimensional FFT with a transposed result; plans and work arrays are allocated once.
 
+use cophase_numerics::fft::{Fft, FftDirection, FftReal};
 use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
-use rustfft::{Fft, FftDirection, FftPlanner};
 use std::sync::Arc;
 
 /// Side of the tiles of the transposition: 8 × 8 complex numbers of 16 bytes are 8 cache lines read and 8 written.
@@ -21,8 +21,7 @@ pub(super) struct Fft2 {
 
 impl Fft2 {
     pub(super) fn new(rows: usize, columns: usize, direction: FftDirection) -> Self {
-        let mut planner = FftPlanner::new();
-        let (along_x, along_y) = (planner.plan_fft(columns, direction), planner.plan_fft(rows, direction));
+        let [along_x, along_y] = f64::plan_pair([columns, rows], direction);
         let scratch = along_x.get_inplace_scratch_len().max(along_y.get_inplace_scratch_len());
         let zeros = |length| vec![Complex64::default(); length];
         Self { rows, columns, along_x, along_y, transposed: zeros(rows * columns), scratch: zeros(scratch) }

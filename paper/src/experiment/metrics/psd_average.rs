@@ -21,9 +21,9 @@ use super::fft2::Fft2;
 use super::psd::Psd;
 use cophase::pupil::{Grid, Pupil};
 use cophase::{Error, Result};
+use cophase_numerics::fft::FftDirection;
 use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
-use rustfft::FftDirection;
 
 /// Largest zero-padding factor. A factor of 2 already determines the spectrum; larger ones interpolate it, and memory
 /// grows with the square of the factor.

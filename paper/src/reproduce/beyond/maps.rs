@@ -9,7 +9,7 @@ use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
-use faer::linalg::solvers::Solve;
+use cophase_numerics::cholesky::Cholesky;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use std::path::{Path, PathBuf};
 
@@ -130,14 +130,13 @@ fn shows(nm: f64, glass: f64) -> bool {
 
 /// Least squares of `values` by the rows of `shapes`, held by `ridge` of the strongest.
 fn fitted(shapes: &Array2<f64>, values: ArrayView1<f64>, ridge: f64) -> Result<Array1<f64>> {
-    let (gram, right) = (shapes.dot(&shapes.t()), shapes.dot(&values));
+    let (mut gram, right) = (shapes.dot(&shapes.t()), shapes.dot(&values));
     let held = ridge * gram.diag().fold(0.0, |a: f64, &b| a.max(b));
     let size = gram.nrows();
-    let solver = faer::Mat::from_fn(size, size, |i, j| gram[[i, j]] + if i == j { held } else { 0.0 })
-        .llt(faer::Side::Lower)
-        .map_err(|failure| Error::Internal(format!("{size} shapes are not independent: {failure:?}")))?;
-    let solved = solver.solve(faer::Mat::from_fn(size, 1, |i, _| right[i]));
-    Ok((0..size).map(|i| solved[(i, 0)]).collect())
+    gram.diag_mut().iter_mut().for_each(|value| *value += held);
+    let factor = Cholesky::new(gram.view())
+        .map_err(|failure| Error::Internal(format!("{size} shapes are not independent: {failure}")))?;
+    Ok(factor.solve(right.insert_axis(Axis(1)).view()).remove_axis(Axis(1)))
 }
 
 /// The mirror's surface over the whole grid, nm, `[y, x]`.

@@ -4,10 +4,10 @@ use cophase::Result;
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
 use cophase::telescope::Telescope;
+use cophase_numerics::fft::plan_both;
 use ndarray::{Array, Array2, Array3, ArrayViewMut2, Axis, RemoveAxis, Zip, s};
 use num_complex::Complex64;
 use rand::RngExt;
-use rustfft::FftPlanner;
 
 /// How the slopes that come with a sequence differ from those that were measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -173,8 +173,7 @@ fn rotated(map: Array2<f64>, angle_rad: f64) -> Array2<f64> {
 /// `map` with each line along `axis` moved by what `shift` says of it, pixels, by Fourier interpolation.
 fn sheared(mut map: Array2<f64>, axis: Axis, shift: impl Fn(usize) -> f64) -> Array2<f64> {
     let n = map.len_of(axis);
-    let mut planner = FftPlanner::new();
-    let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
+    let (forward, inverse) = plan_both(n);
     for (number, mut lane) in map.lanes_mut(axis).into_iter().enumerate() {
         let shift = shift(number);
         let mut line: Vec<Complex64> = lane.iter().copied().map(Complex64::from).collect();

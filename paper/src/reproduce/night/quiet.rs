@@ -6,6 +6,7 @@ use crate::experiment::Progress;
 use cophase::source::stream;
 use cophase::tracking::{NIGHT_S, Observation, Tracker};
 use cophase::{Error, Result};
+use cophase_numerics::decompositions::symmetric_eigen;
 use ndarray::{Array1, Array2, ArrayView2, s};
 use rayon::prelude::*;
 
@@ -72,9 +73,7 @@ fn one(
 /// V·√Λ of the covariance V·Λ·Vᵀ, whose directions without variance are rounding.
 fn root(covariance_nm2: &Array2<f64>) -> Result<Array2<f64>> {
     let size = covariance_nm2.nrows();
-    let eigen = faer::Mat::from_fn(size, size, |i, j| covariance_nm2[[i, j]])
-        .self_adjoint_eigen(faer::Side::Lower)
-        .map_err(|failure| Error::Internal(format!("eigenvalues of a covariance: {failure:?}")))?;
-    let values = eigen.S().column_vector();
-    Ok(Array2::from_shape_fn((size, size), |(i, j)| eigen.U()[(i, j)] * values[j].max(0.0).sqrt()))
+    let eigen = symmetric_eigen(covariance_nm2.view(), 1.0)
+        .map_err(|failure| Error::Internal(format!("eigenvalues of a covariance: {failure}")))?;
+    Ok(Array2::from_shape_fn((size, size), |(i, j)| eigen.vectors[[i, j]] * eigen.values[j].max(0.0).sqrt()))
 }

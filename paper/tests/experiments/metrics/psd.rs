@@ -3,13 +3,13 @@
 use super::{keck, map};
 use cophase::modes::VonKarman;
 use cophase::pupil::{Grid, Pupil};
+use cophase_numerics::fft::{FftDirection, FftReal};
 use cophase_paper::experiment::metrics::{LARGEST_PADDING, Psd, PsdAverage, control_half_width_per_m};
 use ndarray::{Array2, s};
 use num_complex::Complex64;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use rustfft::FftPlanner;
 use std::f64::consts::PI;
 
 fn random() -> ChaCha8Rng {
@@ -154,7 +154,7 @@ fn screens(turbulence: &VonKarman, side: usize, pitch_m: f64, random: &mut ChaCh
         let draw = Complex64::new(StandardNormal.sample(random), StandardNormal.sample(random));
         draw * density.sqrt() * step
     });
-    let fft = FftPlanner::new().plan_fft_inverse(side);
+    let fft = f64::plan(side, FftDirection::Inverse);
     for _ in 0..2 {
         fft.process(field.as_slice_mut().unwrap());
         field = field.t().as_standard_layout().into_owned();

@@ -11,8 +11,8 @@
 //! Hilbert transform of the pyramid's theory (Vérinaud 2004, Opt. Commun. 233, 27), and a pyramid whose focal field is sampled infinitely
 //! finely.
 
+use cophase_numerics::fft::{Fft, FftDirection, FftReal, plan_both};
 use num_complex::{Complex32, Complex64};
-use rustfft::{Fft, FftPlanner};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
@@ -43,8 +43,7 @@ impl HalfPlanes {
     /// Kernels of `offsets` for lines of `samples` samples.
     pub(super) fn new(samples: usize, offsets: &[f64]) -> Self {
         let length = fast_length(2 * samples - 1);
-        let mut planner = FftPlanner::new();
-        let double = FftPlanner::<f64>::new().plan_fft_forward(length);
+        let double = f64::plan(length, FftDirection::Forward);
         let spectrum = |&m: &f64| {
             let mut line = vec![Complex64::ZERO; length];
             for n in 1 - samples as i64..samples as i64 {
@@ -54,7 +53,7 @@ impl HalfPlanes {
             line.iter().map(|z| Complex32::new(z.re as f32, z.im as f32)).collect()
         };
         let spectra = offsets.iter().map(spectrum).collect();
-        let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+        let (forward, inverse) = plan_both(length);
         let scratch = forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len());
         Self {
             samples,
