@@ -1,5 +1,4 @@
-//! The decompositions, products and transforms against numbers that are known. Unit tests of the library would
-//! have its generic code generated once more.
+//! The decompositions, products and transforms against numbers that are known.
 
 use cophase_numerics::cholesky::Cholesky;
 use cophase_numerics::decompositions::{eigenvalues, roots, svd, symmetric_eigen, unit_scale};
