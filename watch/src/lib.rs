@@ -27,4 +27,4 @@ mod watcher;
 
 /// For tests that read the store.
 #[doc(hidden)]
-pub use rusqlite;
+pub use store::rusqlite;

@@ -10,6 +10,7 @@ mod read;
 mod records;
 mod schema;
 
+pub use rusqlite;
 pub use corrections::{Correction, StoredCorrection};
 pub use lock::Lock;
 pub use read::{Columns, Reader};
