@@ -233,6 +233,7 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
 /// On a CPU device `focus_stored` takes a batch, image by image, and the stages take one image alone. A build of single numbers has
 /// the stages for both.
 #[test]
+#[ignore = "merge: 20 s"]
 fn wavelengths_and_pixel_areas_agree_with_cpu_in_any_batch() {
     let mut apart = [0.0f64; 2];
     for (info, seed) in test_devices().iter().flat_map(|info| [1, 2, 5].map(|seed| (info, seed))) {

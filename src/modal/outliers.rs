@@ -268,6 +268,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "merge: 7 s"]
     fn errors_that_are_not_single_pixels_are_left() {
         let scene = scene(&[]);
         let image_e = images(&scene).index_axis_move(Axis(0), 1);

@@ -124,6 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
+    #[ignore = "merge: 23 s"]
     fn a_cube_is_cleaned_image_by_image() {
         let settings = [("image.count", "3"), ("image.pixels", "132"), ("pupil.samples", "64")];
         let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();

@@ -34,6 +34,7 @@ fn simulator() {
 }
 
 #[test]
+#[ignore = "merge: 11 s"]
 fn fits_have_the_bits_of_rust() {
     let scratch = tempfile::tempdir().unwrap();
     for scene in fits::scenes(scratch.path()) {
@@ -47,6 +48,7 @@ fn fits_have_the_bits_of_rust() {
 }
 
 #[test]
+#[ignore = "merge: 13 s"]
 fn map_estimates_have_the_bits_of_rust() {
     let scratch = tempfile::tempdir().unwrap();
     let dump = scratch.path().join("dump");
@@ -78,6 +80,7 @@ fn sessions_of_several_channels() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn help_and_examples() {
     let scratch = tempfile::tempdir().unwrap();
     if let Some(mut command) = octave("package.m", scratch.path()) {

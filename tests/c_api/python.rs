@@ -51,6 +51,7 @@ fn simulator() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn fits_have_the_bits_of_rust() {
     let directory = tempfile::tempdir().unwrap();
     for scene in fits::scenes(directory.path()) {
@@ -63,6 +64,7 @@ fn fits_have_the_bits_of_rust() {
 }
 
 #[test]
+#[ignore = "merge: 14 s"]
 fn map_estimates_have_the_bits_of_rust() {
     let directory = tempfile::tempdir().unwrap();
     let dump = directory.path().join("dump");

@@ -95,6 +95,7 @@ fn a_channel_that_is_flipped_contradicts_the_other() {
 
 /// An image in focus adds what it knows to a pair, and error bars stay those of the errors.
 #[test]
+#[ignore = "merge: 33 s"]
 fn a_channel_in_focus_is_fitted_near_the_others() {
     // The same exposure of each, so that the image in focus has a higher peak.
     let pair = PAIR.replace("[[image.channel]]\n", "[[image.channel]]\nflux_e = 1e8\n");

@@ -157,6 +157,7 @@ fn left_behind_ringed_mirror(folder: &Path, seed: u64, zernikes: &str) -> [(f64,
 }
 
 #[test]
+#[ignore = "merge: 47 s"]
 fn measured_mirror_estimates_are_within_their_error_bars() {
     const DRAWS: u64 = 6;
     let folder = tempfile::tempdir().unwrap();
@@ -175,6 +176,7 @@ fn measured_mirror_estimates_are_within_their_error_bars() {
 /// Where NCPA extend beyond the polynomials of an estimate, modes of this mirror of few actuators are no better: they leave out a fourth of
 /// the lowest polynomials.
 #[test]
+#[ignore = "merge: 6 s"]
 fn coarse_mirror_modes_do_not_replace_missing_polynomials() {
     let folder = tempfile::tempdir().unwrap();
     let [phasing, ncpa] = left_behind_ringed_mirror(folder.path(), 4, "[4, 78]");

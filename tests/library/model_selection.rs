@@ -40,6 +40,7 @@ fn modes_are_added_where_the_scene_does_not_explain_the_images() {
 }
 
 #[test]
+#[ignore = "merge: 7 s"]
 fn modes_are_added_where_a_sum_or_one_image_shows_them() {
     // NCPA of 6 and 13 nm in Zernikes beyond those of the scene: of the first no single image shows anything, of the second the median χ² of
     // the images is 1.4.
@@ -65,6 +66,7 @@ fn modes_are_added_where_a_sum_or_one_image_shows_them() {
 }
 
 #[test]
+#[ignore = "merge: 12 s"]
 fn reflectivities_and_shadows_that_the_images_show_are_fitted() {
     let reflectivities = [("faults.segment_reflectivity_rms", "0.05")];
     let found = estimate(&reflectivities, &[], Policy::default());

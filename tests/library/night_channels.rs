@@ -42,6 +42,7 @@ fn is_right(found: &Estimate) -> bool {
 }
 
 #[test]
+#[ignore = "merge: 11 s"]
 fn successive_channels_are_one_sequence() {
     let scene = scene(PAIR, &[]);
     let images = simulated(&scene);
@@ -63,6 +64,7 @@ fn successive_channels_are_one_sequence() {
 }
 
 #[test]
+#[ignore = "merge: 7 s"]
 fn simultaneous_channels_are_averaged_in_each_exposure() {
     let scene = scene(PAIR, &[("image.simultaneous", "true")]);
     let images = simulated(&scene);
@@ -87,6 +89,7 @@ fn simultaneous_channels_are_averaged_in_each_exposure() {
 
 /// Pistons of 1,500 nm RMS, more than half of either wavelength, to whose whole wavelengths the loop does not respond.
 #[test]
+#[ignore = "merge: 6 s"]
 fn two_colours_resolve_whole_wavelengths_behind_ao() {
     let settings = [("aberrations.segment_piston_rms_nm", "1500"), ("modes.piston_range_nm", "10000")];
     let scene = scene(COLOURS, &settings);

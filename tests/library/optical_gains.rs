@@ -135,6 +135,7 @@ impl Draw {
 }
 
 #[test]
+#[ignore = "merge: 64 s"]
 fn modal_optical_gains_change_the_ncpa_below_their_error_bar() {
     let scene = Scene::preset("keck-pyramid").unwrap().with(&SETTINGS).unwrap();
     let folder = tempfile::tempdir().unwrap();

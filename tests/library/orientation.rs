@@ -16,6 +16,7 @@ fn estimate(scene: &Scene, images: &Images) -> Estimate {
 }
 
 #[test]
+#[ignore = "merge: 6 s"]
 fn diversity_sign_is_unverified_for_point_symmetric_pupils() {
     let remark = |settings: &[(&str, &str)]| {
         let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
@@ -43,6 +44,7 @@ fn moved(images: &Images, source: impl Fn(usize, usize) -> (usize, usize)) -> Im
 }
 
 #[test]
+#[ignore = "merge: 14 s"]
 fn a_pupil_without_symmetry_determines_the_orientation() {
     let scene = scene(&VANES);
     let (n, images) = (96, Images::simulated(&scene).unwrap());

@@ -51,6 +51,7 @@ fn correct_scene_has_no_named_fault() {
 }
 
 #[test]
+#[ignore = "merge: 20 s"]
 fn a_wrong_plate_scale_is_named_and_corrected() {
     let desk = desk(&["image.samples_per_lambda_over_d=2.05"]);
     let more = ["--json", "--plot", "check.png", "--write", "corrected.toml"];
@@ -74,6 +75,7 @@ fn a_wrong_plate_scale_is_named_and_corrected() {
 }
 
 #[test]
+#[ignore = "merge: 10 s"]
 fn far_off_plate_scale_is_named_in_the_keys_of_the_scene() {
     // In milliarcseconds, 6 % more than the images have.
     let desk = desk(&["image.samples_per_lambda_over_d=2.12"]);
@@ -117,6 +119,7 @@ fn strict_sets_the_exit_status_for_a_fault() {
 
 /// The scene in a file is what its images were made or reduced with, and no evidence against a scene that was corrected since.
 #[test]
+#[ignore = "merge: 10 s"]
 fn a_corrected_plate_scale_is_not_set_back_to_that_of_the_file() {
     let desk = desk(&["image.samples_per_lambda_over_d=2.05"]);
     let mut file = FitsReader::open(desk.path("images.fits")).unwrap();
@@ -204,6 +207,7 @@ fn saturated_pixels_are_named() {
 }
 
 #[test]
+#[ignore = "merge: 10 s"]
 fn an_image_in_focus_where_the_scene_has_a_defocus_is_named() {
     let desk = desk(&["image.diversity_focus_waves_rms=0"]);
     let json = desk.json(&check("bare.fits", &["--set", "image.diversity_focus_waves_rms=1.5", "--json"]));
@@ -228,6 +232,7 @@ const VANES: [&str; 9] = [
 ];
 
 #[test]
+#[ignore = "merge: 40 s"]
 fn a_rotation_of_some_degrees_is_named() {
     for rotation_deg in [3.0, 7.0] {
         let planted = format!("pupil.rotation_deg={rotation_deg}");
@@ -252,6 +257,7 @@ fn a_rotation_of_some_degrees_is_named() {
 
 /// Four thin vanes, of which two are 5° from point symmetry: less than a per cent of the light, which bright images show.
 #[test]
+#[ignore = "merge: several fits of bright images"]
 fn orientations_that_only_bright_images_show_are_named() {
     let vanes =
         ["pupil.spider_width_m=0.04", "pupil.spider_vanes_deg=[20.0,105.0,200.0,290.0]", "pupil.rotation_deg=11"];
@@ -311,6 +317,7 @@ fn the_scene_of_a_file_may_name_a_file_that_is_elsewhere() {
 
 /// The real frame of NIRC2, in focus (an exposure of 25 s behind the AO), where the folder of data is beside the project.
 #[test]
+#[ignore = "merge: a minute, and the data beside the project"]
 fn a_real_frame_in_focus_is_called_one() {
     let frame = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/20130801_n0004.fits");
     if !frame.exists() {

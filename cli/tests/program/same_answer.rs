@@ -218,6 +218,7 @@ fn counts_with_a_gain_and_no_read_noise_in_the_scene() {
 }
 
 #[test]
+#[ignore = "merge: one of the cases beyond three"]
 fn hot_pixels() {
     let mut case = Case::of_source(&[("image.pixels", "96")]);
     case.images_e[[0, 30, 40]] += 1e6;
@@ -227,6 +228,7 @@ fn hot_pixels() {
 }
 
 #[test]
+#[ignore = "merge: one of the cases beyond three"]
 fn frames_with_one_row_and_one_column_more() {
     let mut case = Case::of_source(&[]);
     let even = case.estimate(Policy::default());
@@ -240,6 +242,7 @@ fn frames_with_one_row_and_one_column_more() {
 }
 
 #[test]
+#[ignore = "merge: one of the cases beyond three"]
 fn modes_with_a_prior() {
     // The model adds Zernikes of its own where the scene leaves that open: to Noll 45, for any images.
     let open_scene = |last: &str| {
@@ -254,6 +257,7 @@ fn modes_with_a_prior() {
 }
 
 #[test]
+#[ignore = "merge: one of the cases beyond three"]
 fn a_fit_that_is_restarted() {
     // Too few evaluations to converge: each restart begins elsewhere, and the best fit is kept.
     let case = Case::of_source(&[("estimate.max_evaluations", "6")]);
@@ -263,12 +267,14 @@ fn a_fit_that_is_restarted() {
 }
 
 #[test]
+#[ignore = "merge: one of the cases beyond three"]
 fn a_plan_for_a_budget_in_single_precision() {
     let found = Case::of_source(&[("estimate.budget_nm", "3")]).is_the_same_everywhere();
     assert_eq!(found.precision, Precision::F32, "{}", found.scene.text());
 }
 
 #[test]
+#[ignore = "merge: one of the cases beyond three"]
 fn a_sequence_of_images() {
     Case::of_source(&[("image.count", "9"), ("image.peak_snr", "40")]).is_the_same_everywhere();
 }

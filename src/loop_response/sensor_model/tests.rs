@@ -11,6 +11,7 @@ use ndarray::Axis;
 const NCPA_NM: [(usize, f64); 3] = [(24, 20.0), (62, 20.0), (80, 20.0)];
 
 #[test]
+#[ignore = "merge: 7 s"]
 fn loop_about_reference_slopes_nearly_makes_the_nearest_shape() {
     // Steps between segments would lower the gain of the quad cells that see them, and there is no turbulence to blur spots.
     let even = ["aberrations.segment_piston_rms_nm", "aberrations.segment_tip_tilt_rms_nm"].map(|key| (key, "0"));

@@ -22,6 +22,7 @@ fn pokes(telescope: &Telescope, scene: &Scene) -> [Poke; 2] {
 }
 
 #[test]
+#[ignore = "merge: 6 s"]
 fn every_orientation_of_a_poke_is_found() {
     for rotation_deg in ["0", "7"] {
         let scene = scene(rotation_deg);

@@ -109,6 +109,7 @@ fn build(text: &str) -> (bool, bool) {
 }
 
 #[test]
+#[ignore = "merge: 74 s"]
 fn every_key_with_hostile_values() {
     let (mut accepted, mut built, mut refused) = (0, 0, 0);
     assert_eq!(build(&text("image.read_noise_e", "3")), (true, true));

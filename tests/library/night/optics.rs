@@ -110,6 +110,7 @@ fn an_image_wider_than_the_sampling_allows_is_refused() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn broad_filter_image_is_the_mean_over_its_wavelengths() {
     let simulator = simulator(&[]);
     let view = View { rows: 128, columns: 128, ..View::from_scene(&simulator.scene().image) };
@@ -136,6 +137,7 @@ fn broad_filter_image_is_the_mean_over_its_wavelengths() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn a_filter_curve_is_the_mean_over_its_photons() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("k.txt");

@@ -10,11 +10,11 @@ mod read;
 mod records;
 mod schema;
 
-pub use rusqlite;
 pub use corrections::{Correction, StoredCorrection};
 pub use lock::Lock;
 pub use read::{Columns, Reader};
 pub use records::{About, Content, Event, FileRecord, Frame, StoredFrame};
+pub use rusqlite;
 
 use cophase::tracking::Applied;
 use cophase::{Error, Result};
