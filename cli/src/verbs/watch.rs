@@ -8,14 +8,15 @@ use std::ffi::OsString;
 #[derive(clap::Args)]
 #[command(disable_help_flag = true)]
 pub struct Arguments {
+    #[expect(dead_code, reason = "taken, so that every command line has the same answer")]
     #[arg(hide = true, trailing_var_arg = true, allow_hyphen_values = true)]
     words: Vec<OsString>,
 }
 
-pub fn run(arguments: &Arguments, _: &Terminal) -> Result<()> {
-    let words = arguments.words.len();
-    Err(Error::Value(format!(
-        "watch ({words} arguments) is not in this program, which was built without the feature 'watch': install it with \
-         'cargo install --path cli', which has it by default, or add 'watch' to --features"
-    )))
+pub fn run(_: &Arguments, _: &Terminal) -> Result<()> {
+    Err(Error::Value(
+        "'cophase watch' is not in this program, which was built without the feature 'watch': 'cargo install --path cli' \
+         installs one that has it"
+            .into(),
+    ))
 }

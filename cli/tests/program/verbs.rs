@@ -398,3 +398,13 @@ fn a_plan_without_a_budget_is_refused() {
     let refused = desk.run(&["plan", "scene.toml", "--budget-nm", "-2"]);
     assert!(refused.status != 0 && !refused.err.contains("panicked"), "{}", refused.err);
 }
+
+/// `scripts/test` builds the program so.
+#[cfg(not(feature = "watch"))]
+#[test]
+fn program_without_the_watch_says_how_to_get_it() {
+    let desk = Desk::with_scene();
+    for arguments in [&["watch", "frames", "--scene", "scene.toml", "--state", "night.db"][..], &["watch", "--help"]] {
+        desk.refuses(arguments, &["'cophase watch'", "feature 'watch'", "cargo install --path cli"]);
+    }
+}
