@@ -120,7 +120,7 @@ impl Scene {
         self.pupil.grid_m.or(self.pupil.extent_m())
     }
 
-    /// Pixel on the sky, mas: λ/grid_m over the sampling; `None` as for [`Scene::grid_m`].
+    /// Pixel on the sky, mas: λ/grid_m over the sampling; `None` where arrays of a caller replace the scene's pupil.
     pub fn pixel_mas(&self) -> Option<f64> {
         let (grid_m, image) = (self.grid_m()?, &self.image);
         Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * MAS_PER_RADIAN)
