@@ -211,6 +211,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "merge: 4 s"]
     fn a_sparse_reconstructor_has_the_strehl_ratio_of_the_dense_one() {
         // Keck's loop with its noise on the same turbulence.
         let settings = [("control.settle_s", "0.2"), ("image.count", "20"), ("image.interval_s", "0.02")];

@@ -305,6 +305,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "merge: 4 s"]
     fn optics_of_the_scene_are_left_unchanged() {
         let found = estimated(&[], &[], &[]);
         assert!(found.changes.is_empty() && found.segment_reflectivities.is_empty() && found.warnings().is_empty());

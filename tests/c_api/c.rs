@@ -148,6 +148,7 @@ fn use_of_destroyed_handles_is_mostly_detected() {
 }
 
 #[test]
+#[ignore = "merge: 17 s"]
 fn destroyed_handles_leave_no_memory() {
     let times = match is_watched() {
         true => "20",

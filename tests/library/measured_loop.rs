@@ -25,6 +25,7 @@ fn in_form(slopes_mas: &Array2<f64>) -> Array2<f64> {
 }
 
 #[test]
+#[ignore = "merge: 5 s"]
 fn slopes_are_read_in_the_form_that_the_scene_describes() {
     let right = exposures(&mut Stepper::new(&scene(&[])).unwrap(), 4);
     let expected = Estimator::new(&scene(&[])).unwrap().estimate(&right).unwrap();

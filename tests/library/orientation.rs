@@ -91,6 +91,7 @@ fn a_pupil_that_equals_its_mirror_image_does_not() {
 
 /// The response of a known loop is computed from the pistons, whose flipped map has the flipped response.
 #[test]
+#[ignore = "merge: 4 s"]
 fn known_loop_without_slopes_leaves_the_orientation_open() {
     let settings = [("estimate.method", "full-phase"), ("estimate.device", "cpu")];
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();

@@ -167,6 +167,7 @@ fn budget_below_the_noise_gives_a_noise_limited_model() {
 }
 
 #[test]
+#[ignore = "merge: 3 s"]
 fn scene_without_a_truth_is_planned_for_its_modes() {
     let (start, end) = (SMALL.find("[aberrations]").unwrap(), SMALL.find("[modes]").unwrap());
     let text = SMALL[..start].to_string() + &SMALL[end..].replace("ncpa_count = 14", "ncpa_count = 5");
@@ -176,6 +177,7 @@ fn scene_without_a_truth_is_planned_for_its_modes() {
 }
 
 #[test]
+#[ignore = "merge: 4 s"]
 fn segment_tilts_are_in_the_error_budget() {
     // Segments that tilt by 20 nm, and are estimated in piston, tip and tilt: prices that forgot the tilts would find
     // no model within 15 nm.

@@ -39,6 +39,7 @@ fn observed(
 }
 
 #[test]
+#[ignore = "merge: 2 s"]
 fn the_stages_of_a_map_estimate_count_their_images() {
     let (scene, images) = setting();
     let (estimator, seen) = observed(&scene, |_| false);

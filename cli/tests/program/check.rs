@@ -99,6 +99,7 @@ fn far_off_plate_scale_is_named_in_the_keys_of_the_scene() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn strict_sets_the_exit_status_for_a_fault() {
     let sound = desk(&[]);
     let done = sound.succeeds(&check("bare.fits", &["--strict", "--write", "same.toml"]));
@@ -142,6 +143,7 @@ fn a_corrected_plate_scale_is_not_set_back_to_that_of_the_file() {
 
 /// A scene that has its pixel in milliarcseconds and its defocus in nm is answered in these.
 #[test]
+#[ignore = "merge: 8 s"]
 fn values_are_in_the_units_of_the_scene() {
     let desk = desk(&["image.samples_per_lambda_over_d=2.05"]);
     let own = |sampling: f64| {
@@ -184,6 +186,7 @@ fn a_noise_that_is_too_small_is_named() {
 }
 
 #[test]
+#[ignore = "merge: 5 s"]
 fn a_gradient_of_the_light_is_named() {
     let desk = desk(&["pupil.illumination_x=0.15"]);
     let json = desk.json(&check("bare.fits", &["--json"]));
@@ -288,6 +291,7 @@ fn orientations_that_only_bright_images_show_are_named() {
 }
 
 #[test]
+#[ignore = "merge: 12 s"]
 fn pixels_with_an_area_are_named_where_the_scene_has_points() {
     let desk = Desk::with_images(&[&VANES[..], &["image.bandwidth_fraction=0.01"]].concat());
     strip(&desk);

@@ -3,6 +3,7 @@
 use crate::Desk;
 
 #[test]
+#[ignore = "merge: 16 s"]
 fn recommended_observation_is_written_as_a_readable_scene() {
     let desk = Desk::with_scene();
     let words = ["plan", "scene.toml", "--observe", "--budget-nm", "2", "-o", "observe.toml"];
@@ -18,6 +19,7 @@ fn recommended_observation_is_written_as_a_readable_scene() {
 }
 
 #[test]
+#[ignore = "merge: 16 s"]
 fn unreachable_budgets_and_unplannable_scenes_are_refused() {
     let desk = Desk::with_scene();
     let words = ["plan", "scene.toml", "--observe", "--budget-nm", "1e-6"];

@@ -7,6 +7,7 @@ use ndarray::s;
 const SKY: &str = include_str!("../../../tests/c_api/sky.toml");
 
 #[test]
+#[ignore = "merge: 7 s"]
 fn slopes_in_a_file_of_their_own_are_those_beside_the_images() {
     let desk = Desk::with_scene();
     std::fs::write(desk.path("sky.toml"), SKY).unwrap();

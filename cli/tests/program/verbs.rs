@@ -360,6 +360,7 @@ fn sequence_reports_its_combination() {
 }
 
 #[test]
+#[ignore = "merge: 12 s"]
 fn a_budget_is_planned_and_estimated() {
     let desk = Desk::with_images(&[]);
     let planned = desk.succeeds(&["plan", "scene.toml", "--budget-nm", "3", "-o", "planned.toml", "--json"]);

@@ -143,6 +143,7 @@ mod tests {
 
     /// Functions with negative rings, of each actuator and in common, on another grid than the simulator's.
     #[test]
+    #[ignore = "merge: 3 s"]
     fn measured_surface_is_the_sum_of_functions_with_its_moments() {
         let scene = Scene::preset("keck-onsky").unwrap();
         let telescope = Telescope::new(&scene).unwrap();
