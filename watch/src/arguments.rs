@@ -27,7 +27,7 @@ Every FITS file in the folder is taken once: those that are there, then those th
 
 /// Estimate every frame that appears in a folder
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Folder in which FITS files appear
     #[arg(value_name = "FOLDER", required_unless_present_any = ["stream", "export"], conflicts_with_all = ["stream", "export"])]

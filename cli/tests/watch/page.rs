@@ -284,6 +284,37 @@ fn other_addresses_need_a_token_and_requests_too() {
     assert_eq!(with("/api/status", &format!("{cookie}\nOrigin: http://evil.example")).status, 403);
 }
 
+/// Clients that send `request` many times and read nothing.
+fn deaf(site: &Site, count: usize, request: &str) -> Vec<TcpStream> {
+    let many = request.repeat(4000);
+    let connect = |_| {
+        let mut stream = site.connect();
+        // As much as is taken: a server that answers nobody who reads nothing takes little.
+        stream.set_write_timeout(Some(std::time::Duration::from_millis(20))).unwrap();
+        let _ = stream.write_all(many.as_bytes());
+        stream
+    };
+    (0..count).map(connect).collect()
+}
+
+#[test]
+fn clients_that_read_nothing_do_not_keep_the_owner_out() {
+    let desk = desk_with_frames(1);
+    let token = "correct-horse-battery-staple";
+    let site = Site::start(&desk, &["--listen", "0.0.0.0", "--token", token]);
+    let host = site.host();
+    let owner = format!("GET /api/status HTTP/1.1\nHost: {host}\nAuthorization: Bearer {token}");
+    let strangers = deaf(&site, 100, &format!("GET /page.js HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    // At once, whatever the strangers do.
+    assert_eq!(site.send(&owner).status, 200);
+    drop(strangers);
+    // Who knows the token and reads nothing is no better, as soon as the answers wait for them.
+    let request = format!("GET /charts.js HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {token}\r\n\r\n");
+    let known = deaf(&site, 100, &request);
+    wait_until("the answer to the owner", || site.send(&owner).status == 200);
+    drop(known);
+}
+
 #[test]
 fn used_port_is_reported() {
     let desk = desk_with_frames(1);

@@ -3,6 +3,7 @@
 //! A browser of this machine that shows another site can send requests here. It is refused by the host that it names (DNS rebinding
 //! gives a name of the other site to this address), by its `Origin`, and by `Sec-Fetch-Site`.
 
+use super::connections::Connection;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
@@ -27,7 +28,12 @@ pub struct Guard {
 /// Answers a request that is refused, gives others to `next`, and adds the headers of security to both.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let mut response = match guard.decide(&request) {
-        Decision::Pass => next.run(request).await,
+        Decision::Pass => {
+            if let Some(connection) = request.extensions().get::<Arc<Connection>>() {
+                connection.admit();
+            }
+            next.run(request).await
+        }
         Decision::Answer(response) => *response,
     };
     let headers = response.headers_mut();
@@ -52,14 +58,20 @@ enum Decision {
 }
 
 fn refuse(status: StatusCode, sentence: &str) -> Decision {
-    Decision::Answer(Box::new((status, format!("{sentence}\n")).into_response()))
+    // What is sent behind a request that is refused is not even read.
+    let close = [(header::CONNECTION, "close")];
+    Decision::Answer(Box::new((status, close, format!("{sentence}\n")).into_response()))
 }
 
 impl Guard {
     fn decide(&self, request: &Request) -> Decision {
         let headers = request.headers();
         if request.method() != Method::GET && request.method() != Method::HEAD {
-            let refused = (StatusCode::METHOD_NOT_ALLOWED, [(header::ALLOW, "GET, HEAD")], "only GET is accepted\n");
+            let refused = (
+                StatusCode::METHOD_NOT_ALLOWED,
+                [(header::ALLOW, "GET, HEAD"), (header::CONNECTION, "close")],
+                "only GET is accepted\n",
+            );
             return Decision::Answer(Box::new(refused.into_response()));
         }
         let has_length = headers.get(header::CONTENT_LENGTH).is_some_and(|length| length != "0");

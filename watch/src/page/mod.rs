@@ -3,6 +3,7 @@
 //! It reads the store by a connection of its own in a thread of its own: no request can hold the watcher up.
 
 mod api;
+mod connections;
 mod guard;
 mod routes;
 mod server;

@@ -1,6 +1,7 @@
 //! Server of the page: connections with limits of size, time and number.
 
 use super::api::Api;
+use super::connections::{Connections, Stream};
 use super::guard::Guard;
 use super::routes::{Shared, router};
 use crate::clock;
@@ -9,7 +10,10 @@ use crate::store::Reader;
 use axum::Router;
 use cophase::modal::ModalFitter;
 use cophase::{Error, Result};
+use hyper::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use std::net::{SocketAddr, TcpListener};
@@ -17,7 +21,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use tokio::sync::{Semaphore, oneshot, watch};
+use tokio::sync::{oneshot, watch};
 
 /// Time for the headers of a request, and between two requests of one connection.
 const HEADER_TIME: Duration = Duration::from_secs(10);
@@ -25,8 +29,6 @@ const HEADER_TIME: Duration = Duration::from_secs(10);
 const CONNECTION_TIME: Duration = Duration::from_secs(3600);
 /// Largest size of the headers of a request: a browser's are below 2 KiB.
 const HEADER_BYTES: usize = 16 * 1024;
-/// Largest number of connections: a page has two or three.
-const CONNECTIONS: usize = 64;
 
 /// Where the page listens, and to whom.
 #[derive(Debug, Clone)]
@@ -104,25 +106,33 @@ impl Drop for Page {
 
 async fn serve(listener: TcpListener, router: Router) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
-    let free = Arc::new(Semaphore::new(CONNECTIONS));
+    let connections = Arc::new(Connections::default());
     loop {
-        let Ok((stream, _)) = listener.accept().await else {
+        let Ok((stream, peer)) = listener.accept().await else {
             // Usually too many open files: wait until some are closed.
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        // Beyond the limit a connection is closed unanswered.
-        let Ok(permit) = free.clone().try_acquire_owned() else { continue };
-        let router = router.clone();
+        // Without a place it is closed unanswered.
+        let Some(place) = Connections::take(&connections, peer.ip().to_canonical()) else { continue };
+        let router = TowerToHyperService::new(router.clone());
         tokio::spawn(async move {
+            let of_request = place.connection.clone();
+            let service = service_fn(move |mut request: Request<Incoming>| {
+                request.extensions_mut().insert(of_request.clone());
+                router.call(request)
+            });
+            let stream = Stream::new(stream, place.connection.clone());
             let connection = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(HEADER_TIME)
                 .max_buf_size(HEADER_BYTES)
-                .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router));
-            // A connection that the browser ends early is no error here.
-            let _ = tokio::time::timeout(CONNECTION_TIME, connection).await;
-            drop(permit);
+                .serve_connection(TokioIo::new(stream), service);
+            tokio::select! {
+                // A connection that the browser ends early is no error here.
+                _ = tokio::time::timeout(CONNECTION_TIME, connection) => {}
+                () = place.connection.ended() => {}
+            }
         });
     }
 }
