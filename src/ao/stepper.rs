@@ -118,8 +118,6 @@ mod tests {
         let quiet = scene(&[
             ("image.photon_noise", "false"),
             ("image.read_noise_e", "0.0"),
-            // peak_snr gives no star where there is no noise.
-            ("image.peak_snr", ""),
             ("image.flux_e", "1e6"),
             ("image.exposure_s", "0.0"),
             ("image.count", "2"),

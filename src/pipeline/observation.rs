@@ -172,7 +172,7 @@ impl Base {
         let one = one.with(&[("image.count", "1"), ("estimate.budget_nm", ""), ("estimate.method", "modal")])?;
         let flux_e = source::simulate(&one)?.flux_e;
         let electrons = format!("{flux_e:e}");
-        let scene = one.with(&[("image.peak_snr", ""), ("image.flux_e", &electrons)])?;
+        let scene = one.with(&[("image.flux_e", &electrons)])?;
         Ok(Self { scene, wavelengths_nm, flux_e })
     }
 

@@ -160,7 +160,7 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
 const SAMPLING: &str = forms::SAMPLING[0];
 /// Keys of which a scene may name one: a channel that names one of them replaces all.
 const ALTERNATIVES: [&[&str]; 5] = [
-    &["peak_snr", "flux_e"],
+    &forms::BRIGHTNESS,
     &[forms::FOCUS[0], forms::FOCUS[1], forms::FOCUS[2], forms::FOCUS[3], "diversity_file"],
     &["bandwidth_fraction", "filter_file"],
     &forms::SAMPLING,

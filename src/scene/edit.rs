@@ -8,8 +8,8 @@ use toml_edit::{DocumentMut, Item, TableLike, Value};
 
 impl Scene {
     /// This scene with other values: pairs of `section.key` and a value in TOML syntax; words and file names may omit
-    /// the quotes. An empty value removes the key. All pairs are set before the validation, so `[("image.peak_snr",
-    /// ""), ("image.flux_e", "1e6")]` replaces one key by the other. [`Scene::text`] has the new values and keeps its
+    /// the quotes. An empty value removes the key. All pairs are set before the validation. Another
+    /// form of the same quantity gives way: `image.flux_e` replaces `image.peak_snr`. [`Scene::text`] has the new values and keeps its
     /// comments. `image.channel.NAME.key` is a key of the channel NAME.
     ///
     /// # Errors

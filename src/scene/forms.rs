@@ -7,6 +7,8 @@ pub(super) const FOCUS: [&str; 4] =
     ["diversity_focus_waves_rms", "diversity_focus_waves_pv", "diversity_focus_nm_rms", "diversity_stage_mm"];
 /// The focal length over the pupil's grid, and the focal length.
 pub(super) const FOCAL: [&str; 2] = ["focal_ratio", "focal_length_m"];
+/// The star's brightness.
+pub(super) const BRIGHTNESS: [&str; 2] = ["peak_snr", "flux_e"];
 
 /// What a file of the NCPA stands for.
 pub(super) const ZERNIKES: [&str; 3] = ["ncpa_rms_nm", "ncpa_zernikes", "ncpa_power_law"];
@@ -21,7 +23,7 @@ pub(super) fn other_forms(section: &str, key: &str) -> Vec<&'static str> {
         ("aberrations", "petal_coefficients_nm") => PETALS.to_vec(),
         ("aberrations", key) if PETALS.contains(&key) => vec!["petal_coefficients_nm"],
         ("image", key) => {
-            let groups: [&[&str]; 3] = [&SAMPLING, &FOCUS, &FOCAL];
+            let groups: [&[&str]; 4] = [&SAMPLING, &FOCUS, &FOCAL, &BRIGHTNESS];
             let own = groups.into_iter().filter(|group| group.contains(&key));
             own.flatten().copied().filter(|other| *other != key).collect()
         }

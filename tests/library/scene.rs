@@ -244,8 +244,11 @@ fn messages_name_line_key_value_and_accepted_range() {
 fn images_without_noise_need_a_flux() {
     let quiet = [("image.photon_noise", "false"), ("image.read_noise_e", "0")];
     let preset = Scene::preset("keck-artificial").unwrap();
-    let flux = [("image.peak_snr", ""), ("image.flux_e", "1e6")];
-    assert_eq!(preset.with(&[quiet, flux].concat()).unwrap().image.flux_e, Some(1e6));
+    // Either form of the brightness replaces the other.
+    let bright = preset.with(&[&quiet[..], &[("image.flux_e", "1e6")]].concat()).unwrap();
+    assert_eq!((bright.image.flux_e, bright.image.peak_snr), (Some(1e6), None));
+    let faint = bright.with(&[("image.peak_snr", "50")]);
+    assert!(faint.is_err_and(|error| error.to_string().contains("peak_snr")));
     // Either noise is enough.
     for noise in quiet {
         assert_eq!(preset.with(&[noise]).unwrap().image.peak_snr, Some(500.0));
@@ -327,7 +330,6 @@ fn a_changed_scene_has_the_new_values_in_its_text() {
     let scene = Scene::preset("keck-artificial").unwrap();
     let varied = scene
         .with(&[
-            ("image.peak_snr", ""),
             ("image.flux_e", "1e6"),
             ("modes.ncpa", "zernike"),
             ("modes.exact_zernikes", "none"),
