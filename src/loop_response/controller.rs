@@ -69,7 +69,8 @@ impl Commands {
     pub(super) fn text(&self, what: &str) -> String {
         let line = |channel: &Command| {
             let mark = if channel.is_limited { " # at its limit" } else { "" };
-            format!("{} {:e}{mark}\n", channel.name, channel.value)
+            // Six digits: far below any error bar, and a line that people can read.
+            format!("{} {:.5e}{mark}\n", channel.name, channel.value)
         };
         let lines: String = self.channels.iter().map(line).collect();
         if lines.is_empty() { lines } else { format!("# {what}: channel, {}\n{lines}", self.unit) }

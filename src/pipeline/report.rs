@@ -134,7 +134,7 @@ fn telemetry(check: &TelemetryCheck) -> String {
 fn more_images(map: &MapSummary) -> String {
     let Some(last) = map.iterations.last() else { return String::new() };
     match last.further_images(last.error_budget.total_nm.map(|nm| nm / 2.0)) {
-        Ok(further) => format!("Half the error bars take {further} more images.\n"),
+        Ok(further) => format!("{} images would halve the error bars.\n", last.used_images.len() + further),
         Err(_) => "No number of images halves the error bars: they include errors that all images share.\n".into(),
     }
 }

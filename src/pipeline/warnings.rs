@@ -39,6 +39,8 @@ pub(super) const ON_DIVERSITY: &str = "The NCPA depend on the scene's diversity.
 const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
 const NAMED_MODES: usize = 6;
+/// Combinations of modes named one by one in a warning; the others are counted.
+const NAMED_COMBINATIONS: usize = 3;
 
 /// Remark on the diversity, which holds for every image of a scene: how an error of it changes the NCPA.
 pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -> Option<String> {
@@ -139,12 +141,24 @@ pub(super) fn modal_warnings(
     sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
     let unknown = found.degeneracy.null.iter().filter(|direction| alone && !fitter.is_global_motion(direction));
-    for direction in unknown {
-        let what = &direction.description;
-        sentences
-            .push(format!("the images do not depend on this combination of modes, and 0 is reported for it: {what}"));
-    }
+    sentences.extend(unknown_warning(&unknown.map(|direction| direction.description.as_str()).collect::<Vec<_>>()));
     sentences
+}
+
+/// Warning on combinations of modes that the images do not show.
+fn unknown_warning(combinations: &[&str]) -> Option<String> {
+    let which = match combinations {
+        [] => return None,
+        [one] => format!("this combination of modes, and 0 is reported for it: {one}"),
+        several => {
+            let count = several.len();
+            let named = several[..count.min(NAMED_COMBINATIONS)].join("; ");
+            let more = count.saturating_sub(NAMED_COMBINATIONS);
+            let more = if more > 0 { format!("; and {more} more (--verbose lists them)") } else { String::new() };
+            format!("{count} combinations of modes, and 0 is reported for them: {named}{more}")
+        }
+    };
+    Some(format!("the images do not depend on {which}"))
 }
 
 /// Warning on modes of the scene that are not estimated.
@@ -260,12 +274,24 @@ fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
     is_mean_misfit(found).then(|| {
         format!(
             "the mean residual of the {} images is {:.1} times its noise (reduced χ² {chi2:.1}), which single images do not \
-             show: the modes do not span what is there, or the scene differs from the instrument; error bars are scaled up by \
-             as much",
+             show: the modes do not span what is there, or the scene differs from the instrument; {}",
             found.used(),
-            chi2.sqrt()
+            chi2.sqrt(),
+            scaled(chi2)
         )
     })
+}
+
+/// What a misfit of reduced χ² `chi2` makes of error bars. Scaled residuals stand for unknown errors as small as the noise: where the
+/// model is [`USELESS`] times further off than that, the estimate is biased by an amount that no scale of its noise tells.
+fn scaled(chi2: f64) -> &'static str {
+    /// In standard deviations of the noise.
+    const USELESS: f64 = 5.0;
+    if chi2 > USELESS * USELESS {
+        "the estimate and its error bars are not to be used"
+    } else {
+        "error bars are scaled up by as much"
+    }
 }
 
 fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
@@ -279,9 +305,9 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
         Status::Misfit => Some(format!(
             "the residual is {:.2} times the noise (reduced χ² {chi2:.2}, where noise explains up to {most:.2}): the modes do \
              not span the wavefront, the scene differs from the instrument (plate scale, bandwidth, pixels that are squares, \
-             gain or read noise), or the image has what the model does not (a companion, a non-linear detector); error bars are \
-             scaled up by as much",
-            chi2.sqrt()
+             gain or read noise), or the image has what the model does not (a companion, a non-linear detector); {}",
+            chi2.sqrt(),
+            scaled(chi2)
         )),
         Status::WrongMinimum => Some(format!(
             "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity, rotation or orientation \
@@ -404,4 +430,24 @@ pub(super) fn map_warnings(
         ));
     }
     sentences
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_unknown_combinations_are_one_warning() {
+        assert_eq!(unknown_warning(&[]), None);
+        assert!(unknown_warning(&["a + b"]).unwrap().ends_with("for it: a + b"));
+        let names: Vec<String> = (0..84).map(|k| format!("mode-{k}")).collect();
+        let sentence = unknown_warning(&names.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
+        assert!(sentence.contains("84 combinations") && sentence.contains("mode-0; mode-1; mode-2; and 81 more"));
+    }
+
+    #[test]
+    fn error_bars_of_large_misfits_are_not_to_be_used() {
+        assert!(scaled(4.0).contains("scaled up"));
+        assert!(scaled(49.0).contains("not to be used"));
+    }
 }
