@@ -2,7 +2,7 @@
 
 use cophase::pipeline::{Progress, Stage};
 use cophase::{Error, Result};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
@@ -14,7 +14,7 @@ pub const DOUBTFUL_STATUS: u8 = 3;
 /// Nothing shorter than this deserves a progress bar.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-const BAR: &str = "{msg} {wide_bar} {pos}/{len}  {rate}  {eta} left";
+const BAR: &str = "{msg} {wide_bar} {pos}/{len}  {rate}  {left}";
 const CLOCK: &str = "{spinner} {msg}  {elapsed}";
 
 /// Where a verb speaks.
@@ -74,10 +74,17 @@ impl Terminal {
 fn style(template: &str) -> ProgressStyle {
     // Templates are constants that indicatif accepts; its own style is the answer if one day it does not.
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    style.with_key("rate", |state: &ProgressState, text: &mut dyn std::fmt::Write| {
-        // Writing into memory does not fail.
-        let _ = write!(text, "{:.1}/s", state.per_sec());
-    })
+    // Writing into memory does not fail.
+    style
+        .with_key("rate", |state: &ProgressState, text: &mut dyn std::fmt::Write| {
+            let _ = write!(text, "{:.1}/s", state.per_sec());
+        })
+        .with_key("left", |state: &ProgressState, text: &mut dyn std::fmt::Write| {
+            // Before the first step nobody knows.
+            if state.pos() > 0 {
+                let _ = write!(text, "{:#} left", HumanDuration(state.eta()));
+            }
+        })
 }
 
 /// `1 image`, `2 images`.

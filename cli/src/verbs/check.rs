@@ -31,7 +31,7 @@ explanation).";
 
 /// Check scene and images before an estimate is believed
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 #[command(group(clap::ArgGroup::new("poke").args(["segment", "actuator"])))]
 pub struct Arguments {
     /// FITS file with images; with a poke those behind it

@@ -26,7 +26,7 @@ distinguish), settings (keys of the scene to set), warnings.";
 
 /// Find flips, rotation and sign of images from a known poke of one segment or actuator
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 #[command(group(clap::ArgGroup::new("poke").required(true).args(["segment", "actuator"])))]
 pub struct Arguments {
     /// FITS file with images behind the poke

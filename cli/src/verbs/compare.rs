@@ -30,7 +30,7 @@ pupil), samples_left_out.";
 
 /// Compare an estimate with the truth: RMS over the pupil, tip and tilt removed
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// FITS file that 'cophase estimate' wrote
     estimate: PathBuf,

@@ -12,7 +12,7 @@ const EXAMPLES: &str = "Examples:
 
 /// Print the script that completes verbs and options in a shell
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Shell of the script
     #[arg(value_enum)]

@@ -19,7 +19,7 @@ It does what these two commands do, in the folder:
 
 /// Make an image of a star with a segmented telescope, estimate from it, draw the result
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Folder for images.fits, est.fits and est.png; made if it is not there
     #[arg(short, long, value_name = "FOLDER")]

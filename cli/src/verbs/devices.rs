@@ -13,7 +13,7 @@ The first column is what 'cophase estimate --device' takes.";
 
 /// List what an estimate can run on here
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Print the list as JSON
     #[arg(long)]

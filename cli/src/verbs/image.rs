@@ -24,7 +24,7 @@ table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimat
 
 /// Make images of an artificial source, with their truth
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
     scene: PathBuf,

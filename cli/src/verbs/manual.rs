@@ -20,7 +20,7 @@ const BAD_USAGE: u8 = 2;
 
 /// Write the manual pages, or describe the command line as JSON
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES, group = ArgGroup::new("task").args(["folder", "json", "accepts"]).required(true))]
+#[command(after_long_help = EXAMPLES, group = ArgGroup::new("task").args(["folder", "json", "accepts"]).required(true))]
 pub struct Arguments {
     /// Folder for the manual pages, made if it is not there; pages that are there are replaced
     folder: Option<PathBuf>,

@@ -16,7 +16,7 @@ one run; its fits are those of the parts, and merge makes those that depend on a
 
 /// Make the estimate of all parts of 'cophase estimate --part I/N'
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Files of all parts, in any order
     #[arg(required = true, value_name = "PART")]

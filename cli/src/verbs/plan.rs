@@ -36,7 +36,7 @@ evaluations, megaflops and estimate_us for one image.";
 
 /// Find the cheapest model, or the shortest observation, that keeps the error within a budget
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset
     scene: PathBuf,

@@ -27,7 +27,7 @@ SHUTTER); else it is a frame of the star.";
 
 /// Reduce raw frames (star, darks, flats, sky) to the images that 'estimate' takes
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Raw frames: files, folders, or patterns of file names with * and ?
     #[arg(required = true, value_name = "RAW")]

@@ -24,7 +24,7 @@ those of the AO loop.";
 
 /// Print a documented scene or draw its numbering instead, or list the scenes that come with the program
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Preset to print, or a TOML file; without it, the presets are listed
     name: Option<PathBuf>,

@@ -26,7 +26,7 @@ exposed one after the other in one run of the loop, or together with image.simul
 
 /// Close an AO loop on the telescope: images, truth, telemetry
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
     scene: PathBuf,

@@ -26,7 +26,7 @@ work and peak. --json prints a list of points.";
 
 /// Measure speed against error: models of several sizes, devices, precisions, one image and batches
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
     #[arg(default_value = "keck-artificial")]

@@ -49,13 +49,13 @@ where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
     /// FITS file with one image or a cube of them, FILE or FILE[HDU], or with those of several channels; - for standard input
     #[arg(required_unless_present = "channel", conflicts_with = "channel")]
     pub(super) images: Option<PathBuf>,
     /// FITS file with the images of one channel of the scene ([[image.channel]]); once for each channel
-    #[arg(long, value_name = "NAME=FILE", value_parser = channel)]
+    #[arg(long, value_name = "NAME=FILE", value_parser = channel, hide_short_help = true)]
     pub(super) channel: Vec<(String, PathBuf)>,
     /// FITS file to write: maps, modes, error bars; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
@@ -80,37 +80,37 @@ pub struct Arguments {
     #[arg(long, value_parser = device)]
     pub(super) device: Option<String>,
     /// Precision of the imaging model [default: f64, or f32 with full-phase]
-    #[arg(long, value_parser = ["f64", "f32"])]
+    #[arg(long, value_parser = ["f64", "f32"], hide_short_help = true)]
     pub(super) precision: Option<String>,
     /// Ours (gauss-newton), the method of Lamb et al. (2021) as a whole (bfgs), or its objective with our optimiser (paper)
-    #[arg(long, value_parser = ["gauss-newton", "bfgs", "paper"])]
+    #[arg(long, value_parser = ["gauss-newton", "bfgs", "paper"], hide_short_help = true)]
     pub(super) optimizer: Option<String>,
     /// RMS error that is allowed, nm, noise included: plans the cheapest model that keeps it (see cophase plan)
-    #[arg(long, value_name = "NM")]
+    #[arg(long, value_name = "NM", hide_short_help = true)]
     pub(super) budget_nm: Option<f64>,
     /// The estimator: static modes, fitted image by image (modal), or the whole wavefront behind each image of a sequence
     /// behind adaptive optics (full-phase); auto: full-phase where the scene has turbulence or a loop and the images change
     #[arg(long, value_parser = ["modal", "full-phase", "auto"])]
     pub(super) method: Option<String>,
     /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its telemetry [default: the most there is]
-    #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"])]
+    #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"], hide_short_help = true)]
     pub(super) ao_knowledge: Option<String>,
     /// Slopes that come with the images, with full-phase: refused where they do not belong to the images (check), divided by
     /// the gain that is found and used (use), or left out (ignore) [default: check]
-    #[arg(long, value_parser = ["check", "use", "ignore"])]
+    #[arg(long, value_parser = ["check", "use", "ignore"], hide_short_help = true)]
     pub(super) telemetry: Option<String>,
     /// FITS file with the slopes of the wavefront sensor, [image, slope], in place of those in the file of the images: FILE or FILE[HDU],
     /// of one channel NAME=FILE
-    #[arg(long, value_name = "FILE", value_parser = file_of_channel)]
+    #[arg(long, value_name = "FILE", value_parser = file_of_channel, hide_short_help = true)]
     pub(super) slopes: Vec<(Option<String>, PathBuf)>,
     /// Also write corrections: what to add to segments, mirror and (full-phase) reference slopes; FITS, or text for FILE.txt
     #[arg(long, value_name = "FILE")]
     pub(super) commands: Option<PathBuf>,
     /// Also draw the corrections: what would move, in the terms of the controllers ([commands] of the scene)
-    #[arg(long, value_name = "FILE.png|svg")]
+    #[arg(long, value_name = "FILE.png|svg", hide_short_help = true)]
     pub(super) commands_plot: Option<PathBuf>,
     /// Also write phasing and NCPA together as an OPD map, m, as POPPY and STPSF read it (BUNIT, PUPLSCAL)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
     pub(super) opd: Option<PathBuf>,
     /// Also write a report for people: one HTML file with maps, images, segments, modes, warnings and settings
     #[arg(long, value_name = "FILE.html")]
@@ -119,7 +119,7 @@ pub struct Arguments {
     pub(super) settings: Settings,
     /// Fit the images of part I of N only, and write the part to -o: 'cophase merge' makes the estimate of all parts, with the other
     /// outputs of this command. rank: the part of this process under mpirun or srun, whose first process merges
-    #[arg(long, value_name = "I/N|rank")]
+    #[arg(long, value_name = "I/N|rank", hide_short_help = true)]
     pub(super) part: Option<Share>,
     /// Print the result as JSON
     #[arg(long)]
