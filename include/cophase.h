@@ -479,7 +479,7 @@ typedef struct {
   size_t struct_size;
   /* COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME. */
   int32_t policy;
-  /* Number of threads; 0 or -1 for one per processor. Results do not depend on it. */
+  /* Number of threads, at most 64 or four for each processor; 0 or -1 for one per processor. Results do not depend on it. */
   int32_t threads;
 } cophase_estimator_options;
 

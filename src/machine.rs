@@ -1,4 +1,4 @@
-//! Memory that this process can still get, and the refusal of work that needs more.
+//! Memory that this process can still get, and the refusal of work that needs more; its threads.
 //!
 //! A process that takes more memory than there is does not fail: the allocator aborts it, or the kernel kills it, and no
 //! sentence says why. So the memory of a scene is computed before the work and compared with the smallest of
@@ -11,6 +11,10 @@
 //! | control group, version 1 | `memory.limit_in_bytes`, less `memory.usage_in_bytes` without file cache |
 //!
 //! A source that does not exist sets no bound.
+
+mod threads;
+
+pub use threads::{check_threads, lacks_its_threads, most_threads, start_threads, thread_pool};
 
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};

@@ -100,7 +100,7 @@ for step in range(1, 4):
 # -------------------------
 #
 # An image does not show whether it is flipped, nor the sign of the defocus: two images with a known poke of a segment between them do
-# (``cophase check-orientation``).
+# (``cophase check --before``).
 #
 # The estimate
 # ------------

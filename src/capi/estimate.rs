@@ -1,7 +1,7 @@
 //! Estimates: the result of the pipeline, as C reads it.
 
 use super::estimate_handle::{EstimateState, cophase_estimate};
-use super::handle::{Handle, give_back};
+use super::handle::{Handle, find, give_back};
 use super::image_report::{cophase_image_report, outcome_number};
 use super::pointer::{place, put_array, put_text, text};
 use super::policy::policy_number;
@@ -143,7 +143,7 @@ pub struct cophase_estimate_info {
 
 /// A call that reads the estimate.
 unsafe fn read(estimate: *const cophase_estimate, body: impl FnOnce(&EstimateState) -> Result<()>) -> cophase_status {
-    Handle::read(unsafe { estimate.as_ref() }.map(|estimate| &estimate.0), "estimate", body)
+    Handle::read(unsafe { find(estimate, "estimate") }.map(|estimate| &estimate.0), body)
 }
 
 /// A call that changes it.
@@ -151,13 +151,13 @@ pub(super) unsafe fn change(
     estimate: *mut cophase_estimate,
     body: impl FnOnce(&mut EstimateState) -> Result<()>,
 ) -> cophase_status {
-    Handle::change(unsafe { estimate.as_ref() }.map(|estimate| &estimate.0), "estimate", body)
+    Handle::change(unsafe { find(estimate, "estimate") }.map(|estimate| &estimate.0), body)
 }
 
 /// Frees an estimate; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimate_destroy(estimate: *mut cophase_estimate) {
-    unsafe { give_back(estimate, |estimate| &estimate.0) }
+    unsafe { give_back(estimate) }
 }
 
 /// Writes sizes, status and figures of an estimate. info_size: sizeof(cophase_estimate_info).

@@ -1,6 +1,6 @@
 //! Handle of an estimate.
 
-use super::handle::Handle;
+use super::handle::{Handle, Object};
 use crate::loop_response::Corrections;
 use crate::pipeline::Estimate;
 
@@ -8,6 +8,10 @@ use crate::pipeline::Estimate;
 /// several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_estimate(pub(super) Handle<EstimateState>);
+
+impl Object for cophase_estimate {
+    const KIND: u64 = 1;
+}
 
 /// The estimate, and the corrections that were computed from it.
 pub(super) struct EstimateState {

@@ -2,13 +2,14 @@
 
 use super::calibration::{calibration, cophase_calibration, has_gain, read_noise_e};
 use super::estimate_handle::{EstimateState, cophase_estimate};
-use super::handle::{Handle, fence, give_back, given_back, null};
+use super::handle::{Handle, Object, fence, find, give_back};
 use super::input::{Input, cophase_input};
 use super::model::scene;
 use super::pointer::{place, put_if_wanted, source, text};
 use super::policy::{COPHASE_POLICY_FULL, COPHASE_POLICY_REALTIME};
 use super::sized::{self, Options};
 use super::status::{COPHASE_OK, cophase_status};
+use crate::machine::{check_threads, most_threads, start_threads, thread_pool};
 use crate::modal::{Calibration, cut_out_hint};
 use crate::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use crate::scene::{Channel, Scene};
@@ -38,9 +39,10 @@ pub const COPHASE_STAGE_SEPARATING: i32 = 6;
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and cophase_estimator_progress, which any
 /// thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header
-pub struct cophase_estimator {
-    inside: Handle<Working>,
-    control: Control,
+pub struct cophase_estimator(Handle<Working, Control>);
+
+impl Object for cophase_estimator {
+    const KIND: u64 = 0;
 }
 
 /// What a call works on.
@@ -59,7 +61,7 @@ pub struct cophase_estimator_options {
     pub struct_size: usize,
     /// COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME.
     pub policy: i32,
-    /// Number of threads; 0 or -1 for one per processor. Results do not depend on it.
+    /// Number of threads, at most 64 or four for each processor; 0 or -1 for one per processor. Results do not depend on it.
     pub threads: i32,
 }
 
@@ -93,16 +95,17 @@ fn policy(number: i32) -> Result<Policy> {
 }
 
 fn pool(threads: i32) -> Result<Option<ThreadPool>> {
-    let refused =
-        |why: &str| Error::Value(format!("options->threads is {threads}: {why}; 1 or more, 0 or -1 is accepted"));
     match usize::try_from(threads) {
         Ok(0) => Ok(None),
         Ok(count) => {
-            let made = rayon::ThreadPoolBuilder::new().num_threads(count).build();
-            made.map(Some).map_err(|error| refused(&format!("they do not start ({error})")))
+            check_threads("options->threads", count)?;
+            thread_pool(count).map(Some)
         }
         Err(_) if threads == -1 => Ok(None),
-        Err(_) => Err(refused("no such number of threads")),
+        Err(_) => {
+            let most = most_threads();
+            Err(Error::Value(format!("options->threads is {threads}: 1 to {most}, 0 or -1 is accepted")))
+        }
     }
 }
 
@@ -131,31 +134,32 @@ pub unsafe extern "C" fn cophase_estimator_create(
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
         let scene = Scene::from_text(scene_text, directory)?;
         let control = Control::default();
-        let estimator = on_threads(pool.as_ref(), || Estimator::with_policy(&scene, policy, control.clone()))?;
-        let made = cophase_estimator { inside: Handle::new(Working { estimator, pool }), control };
-        unsafe { out.write(Box::into_raw(Box::new(made))) };
+        let make = || Estimator::with_policy(&scene, policy, control.clone());
+        // Without a plan it only reads: no threads are started, which a child of fork() would lack.
+        let estimator = if scene.estimate.budget_nm.is_some() { on_threads(pool.as_ref(), make)? } else { make()? };
+        let handle = Handle::new::<cophase_estimator>(Working { estimator, pool }, control);
+        unsafe { out.write(Box::into_raw(Box::new(cophase_estimator(handle)))) };
         Ok(())
     })
 }
 
 /// Does work on the threads of `pool`, or on those that all share.
-fn on_threads<R: Send>(pool: Option<&ThreadPool>, work: impl FnOnce() -> R + Send) -> R {
+fn on_threads<R: Send>(pool: Option<&ThreadPool>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     match pool {
         Some(pool) => pool.install(work),
-        None => work(),
+        None => start_threads().and_then(|()| work()),
     }
 }
 
 /// Frees an estimator; NULL is fine. Its estimates stay usable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimator_destroy(estimator: *mut cophase_estimator) {
-    unsafe { give_back(estimator, |estimator| &estimator.inside) }
+    unsafe { give_back(estimator) }
 }
 
 /// The control of an estimator, during any call on it.
 unsafe fn control<'a>(estimator: *const cophase_estimator) -> Result<&'a Control> {
-    let estimator = unsafe { estimator.as_ref() }.ok_or_else(|| null("estimator"))?;
-    if estimator.inside.is_alive() { Ok(&estimator.control) } else { Err(given_back()) }
+    Ok(&unsafe { find(estimator, "estimator") }?.0.aside)
 }
 
 /// Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED at its next safe
@@ -213,8 +217,8 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
     options: *const cophase_estimate_options,
     estimate: *mut *mut cophase_estimate,
 ) -> cophase_status {
-    let inside = unsafe { estimator.as_ref() }.map(|estimator| &estimator.inside);
-    Handle::change(inside, "estimator", |working| {
+    let handle = unsafe { find(estimator, "estimator") }.map(|estimator| &estimator.0);
+    Handle::change(handle, |working| {
         let out = place(estimate, "estimate")?;
         let mut images = unsafe { images(frames, options, working.estimator.scene()) }?;
         images.slopes_mas = unsafe { slopes(slopes_mas, images.len()) }?;
@@ -254,8 +258,8 @@ pub unsafe extern "C" fn cophase_estimator_estimate_channels(
     count: usize,
     estimate: *mut *mut cophase_estimate,
 ) -> cophase_status {
-    let inside = unsafe { estimator.as_ref() }.map(|estimator| &estimator.inside);
-    Handle::change(inside, "estimator", |working| {
+    let handle = unsafe { find(estimator, "estimator") }.map(|estimator| &estimator.0);
+    Handle::change(handle, |working| {
         let out = place(estimate, "estimate")?;
         let first = source(channels, "channels")?;
         let scene = working.estimator.scene();
@@ -275,7 +279,7 @@ pub unsafe extern "C" fn cophase_estimator_estimate_channels(
 }
 
 fn handle_of(estimate: Estimate) -> *mut cophase_estimate {
-    Box::into_raw(Box::new(cophase_estimate(Handle::new(EstimateState::new(estimate)))))
+    Box::into_raw(Box::new(cophase_estimate(Handle::new::<cophase_estimate>(EstimateState::new(estimate), ()))))
 }
 
 /// A caller's images of a channel of `scene`: of that with their name or, without one, the channel `index`.

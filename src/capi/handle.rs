@@ -1,8 +1,10 @@
 //! Objects behind opaque handles, and the fence that every call runs inside.
+//!
+//! A handle begins with a mark of its type, which is read before anything else is: a handle that was destroyed, or one of another type, is refused.
 
 use super::failure::keep;
 use super::status::{COPHASE_OK, cophase_status};
-use crate::{Error, Result, fault};
+use crate::{Error, Result, fault, machine};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,6 +12,13 @@ use std::sync::{RwLock, TryLockError};
 
 /// Runs the body of a call. A failure or a panic becomes its status, and its sentence is kept for this thread.
 pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
+    if machine::lacks_its_threads() {
+        return keep(&Error::Busy(
+            "this process was forked from one in which cophase had started its threads, which a child does not have: start the process without \
+             fork (multiprocessing: the start method 'spawn' or 'forkserver'), or fork before the first estimate"
+                .into(),
+        ));
+    }
     // Unwind safety: an object that a panic left half changed is poisoned, and no later call reads it.
     match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => COPHASE_OK,
@@ -24,21 +33,61 @@ fn words(panic: &(dyn Any + Send)) -> &str {
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message")
 }
 
+/// Type of an object whose only field is a handle.
+pub(super) trait Object {
+    /// Its place in [`NOUNS`], which no other type has.
+    const KIND: u64;
+}
+
+/// What the objects are, for messages.
+const NOUNS: [&str; 7] = [
+    "an estimator",
+    "an estimate",
+    "a model",
+    "a session",
+    "a session of several channels",
+    "a sequence",
+    "a simulator",
+];
+
+/// The object at `pointer`, the argument `name` of a call, as far as its memory still shows it: that may belong to another object by now.
+///
+/// # Errors
+/// [`Error::Argument`] for NULL, a handle that was destroyed, and one of another type.
+pub(super) unsafe fn find<'a, O: Object>(pointer: *const O, name: &str) -> Result<&'a O> {
+    if pointer.is_null() {
+        return Err(Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted")));
+    }
+    if !pointer.is_aligned() {
+        return Err(given_back());
+    }
+    // Volatile: the compiler may assume that the mark of a live object does not change. No reference before: an object of another type may be smaller.
+    match unsafe { pointer.cast::<u64>().read_volatile() }.wrapping_sub(FIRST_MARK) {
+        kind if kind == O::KIND => Ok(unsafe { &*pointer }),
+        kind => Err(NOUNS.get(kind as usize).map_or_else(given_back, |noun| {
+            let wanted = NOUNS[O::KIND as usize];
+            Error::Argument(format!("{name} is a handle of {noun}: one of {wanted} is accepted"))
+        })),
+    }
+}
+
 /// An object behind an opaque pointer. Many threads may read it, or one may change it; any other call fails at once with
 /// [`Error::Busy`] and does not wait. After a panic inside a call it can only be dropped.
 ///
 /// `repr(C)` puts the mark first: an allocator overwrites the beginning of freed memory first.
 #[repr(C)]
-pub(super) struct Handle<T> {
+pub(super) struct Handle<T, A = ()> {
     mark: u64,
     poisoned: AtomicBool,
     value: RwLock<T>,
+    /// What any thread may use at any time.
+    pub(super) aside: A,
 }
 
-impl<T: Send + Sync> Handle<T> {
-    /// A call that reads what the argument `name` points to; `None` is NULL.
-    pub(super) fn read(handle: Option<&Self>, name: &str, body: impl FnOnce(&T) -> Result<()>) -> cophase_status {
-        Self::enter(handle, name, |value| body(&*value.try_read().map_err(refused)?))
+impl<T: Send + Sync, A> Handle<T, A> {
+    /// A call that reads an object.
+    pub(super) fn read(handle: Result<&Self>, body: impl FnOnce(&T) -> Result<()>) -> cophase_status {
+        Self::enter(handle, |value| body(&*value.try_read().map_err(refused)?))
     }
 
     /// Reads the object inside a call on another one.
@@ -48,14 +97,15 @@ impl<T: Send + Sync> Handle<T> {
     }
 }
 
-impl<T: Send> Handle<T> {
-    pub(super) fn new(value: T) -> Self {
-        Self { mark: ALIVE, poisoned: AtomicBool::new(false), value: RwLock::new(value) }
+impl<T: Send, A> Handle<T, A> {
+    /// The handle in an object of the type `O`.
+    pub(super) fn new<O: Object>(value: T, aside: A) -> Self {
+        Self { mark: FIRST_MARK + O::KIND, poisoned: AtomicBool::new(false), value: RwLock::new(value), aside }
     }
 
-    /// A call that changes what the argument `name` points to, or reads an object that only one thread at a time may read.
-    pub(super) fn change(handle: Option<&Self>, name: &str, body: impl FnOnce(&mut T) -> Result<()>) -> cophase_status {
-        Self::enter(handle, name, |value| body(&mut *value.try_write().map_err(refused)?))
+    /// A call that changes an object, or reads one that only one thread at a time may read.
+    pub(super) fn change(handle: Result<&Self>, body: impl FnOnce(&mut T) -> Result<()>) -> cophase_status {
+        Self::enter(handle, |value| body(&mut *value.try_write().map_err(refused)?))
     }
 
     /// As [`Handle::look`], for an object that only one thread at a time may read.
@@ -64,23 +114,14 @@ impl<T: Send> Handle<T> {
         Ok(body(&*self.value.try_write().map_err(refused)?))
     }
 
-    /// Whether it has not been destroyed, as far as its memory still shows it: that may belong to another object by now.
-    pub(super) fn is_alive(&self) -> bool {
-        // Volatile: the compiler may assume that the mark of a live object does not change.
-        unsafe { (&raw const self.mark).read_volatile() == ALIVE }
-    }
-
-    /// Refuses an object that was destroyed, or in which a call has panicked.
+    /// Refuses an object in which a call has panicked.
     fn whole(&self) -> Result<()> {
-        if !self.is_alive() {
-            return Err(given_back());
-        }
         if self.poisoned.load(Ordering::Acquire) { Err(after_a_panic()) } else { Ok(()) }
     }
 
-    fn enter(handle: Option<&Self>, name: &str, body: impl FnOnce(&RwLock<T>) -> Result<()>) -> cophase_status {
+    fn enter(handle: Result<&Self>, body: impl FnOnce(&RwLock<T>) -> Result<()>) -> cophase_status {
         fence(|| {
-            let handle = handle.ok_or_else(|| null(name))?;
+            let handle = handle?;
             handle.whole()?;
             // Only a panic poisons: a call may also return COPHASE_PANIC because another object is poisoned.
             let _poison = PoisonIfPanicking(&handle.poisoned);
@@ -90,20 +131,19 @@ impl<T: Send> Handle<T> {
     }
 }
 
-/// Mark of a live handle; neither an address nor a small number.
-const ALIVE: u64 = 0x636f_7068_a5e1_11fe;
+/// Mark of a live handle of the first type; neither an address nor a small number.
+const FIRST_MARK: u64 = 0x636f_7068_a5e1_1100;
 
-impl<T> Drop for Handle<T> {
+impl<T, A> Drop for Handle<T, A> {
     fn drop(&mut self) {
         unsafe { (&raw mut self.mark).write_volatile(0) };
     }
 }
 
-/// Frees the object that `pointer` points to, whose handle `handle` finds. NULL does nothing, nor, as far as the memory
-/// still shows it, does an object that was freed before.
-pub(super) unsafe fn give_back<O, T: Send>(pointer: *mut O, handle: impl FnOnce(&O) -> &Handle<T>) {
+/// Frees the object that `pointer` points to. NULL does nothing, nor does what [`find`] refuses.
+pub(super) unsafe fn give_back<O: Object>(pointer: *mut O) {
     fence(|| {
-        if unsafe { pointer.as_ref() }.is_some_and(|object| handle(object).is_alive()) {
+        if unsafe { find(pointer, "") }.is_ok() {
             drop(unsafe { Box::from_raw(pointer) });
         }
         Ok(())
@@ -111,7 +151,7 @@ pub(super) unsafe fn give_back<O, T: Send>(pointer: *mut O, handle: impl FnOnce(
 }
 
 /// Error of a call on a handle that was destroyed.
-pub(super) fn given_back() -> Error {
+fn given_back() -> Error {
     Error::Argument("the handle was destroyed, or is none: one that its create call made is accepted".into())
 }
 
@@ -124,11 +164,6 @@ impl Drop for PoisonIfPanicking<'_> {
             self.0.store(true, Ordering::Release);
         }
     }
-}
-
-/// Error of a call on NULL.
-pub(super) fn null(name: &str) -> Error {
-    Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted"))
 }
 
 fn after_a_panic() -> Error {
@@ -147,6 +182,7 @@ fn refused<G>(error: TryLockError<G>) -> Error {
 #[cfg(test)]
 mod tests {
     use super::super::cophase_last_error;
+    use super::super::model::cophase_model;
     use super::super::status::*;
     use super::*;
 
@@ -156,56 +192,80 @@ mod tests {
         String::from_utf8_lossy(&text[..length.min(255)]).into_owned()
     }
 
+    /// The handle of a number, in the place of an object.
+    fn number(value: u32) -> Handle<u32> {
+        Handle::new::<cophase_model>(value, ())
+    }
+
+    #[test]
+    fn handles_of_another_type_are_refused() {
+        let model = number(1);
+        let at = &raw const model;
+        let found = unsafe { find(at.cast::<super::super::session::cophase_session>(), "session") };
+        let refused = found.err().unwrap().to_string();
+        for fact in ["session is a handle of a model", "one of a session is accepted"] {
+            assert!(refused.contains(fact), "{refused}");
+        }
+        // Freeing it as another object does nothing.
+        unsafe { give_back(at.cast_mut().cast::<super::super::simulator::cophase_simulator>()) };
+        assert_eq!(Handle::read(Ok(&model), |_| Ok(())), COPHASE_OK);
+        // Neither an object nor aligned.
+        let numbers = [7_u64; 2];
+        for pointer in [numbers.as_ptr().cast::<cophase_model>(), unsafe { numbers.as_ptr().byte_add(1) }.cast()] {
+            assert!(unsafe { find(pointer, "model") }.err().unwrap().to_string().contains("is none"));
+        }
+    }
+
     #[test]
     fn a_panic_is_caught_and_poisons_its_object_only() {
         let never = |_: &u32| -> Result<()> { unreachable!("a poisoned object was handed out") };
         for reading in [true, false] {
-            let (hit, other) = (Handle::new(1), Handle::new(2));
+            let (hit, other) = (number(1), number(2));
             let panicked = if reading {
-                Handle::read(Some(&hit), "hit", |value| panic!("number {value}"))
+                Handle::read(Ok(&hit), |value| panic!("number {value}"))
             } else {
-                Handle::change(Some(&hit), "hit", |value| panic!("number {value}"))
+                Handle::change(Ok(&hit), |value| panic!("number {value}"))
             };
             assert_eq!(panicked, COPHASE_PANIC);
             assert!(last().contains("internal error") && last().ends_with("number 1"), "{}", last());
-            assert_eq!(Handle::read(Some(&hit), "hit", never), COPHASE_PANIC);
+            assert_eq!(Handle::read(Ok(&hit), never), COPHASE_PANIC);
             assert!(last().ends_with("can only be destroyed"), "{}", last());
-            assert_eq!(Handle::change(Some(&hit), "hit", |value| never(value)), COPHASE_PANIC);
+            assert_eq!(Handle::change(Ok(&hit), |value| never(value)), COPHASE_PANIC);
             // A call that is given both fails, and leaves the other as it was.
-            assert_eq!(Handle::change(Some(&other), "other", |_| hit.look(|_| ())), COPHASE_PANIC);
-            assert_eq!(Handle::read(Some(&other), "other", |_| Ok(())), COPHASE_OK);
+            assert_eq!(Handle::change(Ok(&other), |_| hit.look(|_| ())), COPHASE_PANIC);
+            assert_eq!(Handle::read(Ok(&other), |_| Ok(())), COPHASE_OK);
         }
         assert_eq!(fence(|| std::panic::panic_any(7)), COPHASE_PANIC);
     }
 
     #[test]
     fn failures_pass_and_leave_the_object_usable() {
-        let handle = Handle::new(1);
-        let failed = Handle::change(Some(&handle), "handle", |_| Err(Error::Shape("3 are not 4".into())));
+        let handle = number(1);
+        let failed = Handle::change(Ok(&handle), |_| Err(Error::Shape("3 are not 4".into())));
         assert_eq!((failed, last()), (COPHASE_BAD_SHAPE, "3 are not 4".into()));
-        assert_eq!(Handle::read(Some(&handle), "handle", |_| Ok(())), COPHASE_OK);
-        assert_eq!(Handle::<u32>::read(None, "handle", |_| Ok(())), COPHASE_BAD_ARGUMENT);
-        assert!(last().starts_with("handle is NULL"));
+        assert_eq!(Handle::read(Ok(&handle), |_| Ok(())), COPHASE_OK);
+        let none = unsafe { find(std::ptr::null::<cophase_model>(), "model") };
+        assert!(none.is_err_and(|error| error.to_string().starts_with("model is NULL")));
     }
 
     #[test]
     fn readers_share_a_handle_and_writers_exclude() {
-        let handle = Handle::new(1);
+        let handle = number(1);
         let nested = |outer_changes: bool, inner_changes: bool| {
             let mut inner = COPHASE_OK;
             let mut enter = || {
                 inner = std::thread::scope(|scope| {
                     let call = || match inner_changes {
-                        true => Handle::change(Some(&handle), "handle", |_| Ok(())),
-                        false => Handle::read(Some(&handle), "handle", |_| Ok(())),
+                        true => Handle::change(Ok(&handle), |_| Ok(())),
+                        false => Handle::read(Ok(&handle), |_| Ok(())),
                     };
                     scope.spawn(call).join().unwrap()
                 });
                 Ok(())
             };
             let outer = match outer_changes {
-                true => Handle::change(Some(&handle), "handle", |_| enter()),
-                false => Handle::read(Some(&handle), "handle", |_| enter()),
+                true => Handle::change(Ok(&handle), |_| enter()),
+                false => Handle::read(Ok(&handle), |_| enter()),
             };
             (outer, inner)
         };

@@ -1,7 +1,7 @@
 //! Sessions of several channels: fits of one frame of each, and their combination, in memory that is allocated beforehand.
 
 use super::calibration::cophase_calibration;
-use super::handle::{Handle, fence, give_back, given_back, null};
+use super::handle::{Handle, Object, fence, find, give_back};
 use super::image_report::{cophase_image_report, number};
 use super::input::{Input, cophase_input};
 use super::model::{check_modes, cophase_model, scene};
@@ -11,6 +11,7 @@ use super::session::{fit_options, session_options};
 use super::sized::{self, Outputs};
 use super::status::{COPHASE_OK, cophase_status};
 use super::text::*;
+use crate::machine::start_threads;
 use crate::modal::{Calibration, JointFit, JointSession, RefinedFit};
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
@@ -23,9 +24,10 @@ use std::sync::atomic::Ordering;
 ///
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_joint_session_cancel, which any thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header
-pub struct cophase_joint_session {
-    inside: Handle<Working>,
-    cancel: CancelFlag,
+pub struct cophase_joint_session(Handle<Working, CancelFlag>);
+
+impl Object for cophase_joint_session {
+    const KIND: u64 = 4;
 }
 
 /// What a call works on.
@@ -119,13 +121,13 @@ impl Working {
 
 /// A call that works in the session.
 unsafe fn change(session: *mut cophase_joint_session, body: impl FnOnce(&mut Working) -> Result<()>) -> cophase_status {
-    Handle::change(unsafe { session.as_ref() }.map(|session| &session.inside), "session", body)
+    Handle::change(unsafe { find(session, "session") }.map(|session| &session.0), body)
 }
 
 /// A call that reads it.
 unsafe fn read(session: *const cophase_joint_session, body: impl FnOnce(&Working) -> Result<()>) -> cophase_status {
     // The kernels of a device belong to one thread at a time, even to be read.
-    Handle::change(unsafe { session.as_ref() }.map(|session| &session.inside), "session", |working| body(working))
+    Handle::change(unsafe { find(session, "session") }.map(|session| &session.0), |working| body(working))
 }
 
 /// Creates a session of a scene with several channels; builds their models, half a second each at the size of Keck.
@@ -143,13 +145,14 @@ pub unsafe extern "C" fn cophase_joint_session_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(session, "session")?;
+        start_threads()?;
         let options = unsafe { session_options(&sized::read(options, "options")?) }?;
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
         let scene = planner::resolve(&Scene::from_text(scene_text, directory)?, None)?;
         let session = JointSession::new(&scene, &options)?;
         let cancel = session.cancel_flag();
-        let inside = Handle::new(Working::new(session)?);
-        unsafe { out.write(Box::into_raw(Box::new(cophase_joint_session { inside, cancel }))) };
+        let handle = Handle::new::<cophase_joint_session>(Working::new(session)?, cancel);
+        unsafe { out.write(Box::into_raw(Box::new(cophase_joint_session(handle)))) };
         Ok(())
     })
 }
@@ -157,7 +160,7 @@ pub unsafe extern "C" fn cophase_joint_session_create(
 /// Frees a session; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_joint_session_destroy(session: *mut cophase_joint_session) {
-    unsafe { give_back(session, |session| &session.inside) }
+    unsafe { give_back(session) }
 }
 
 /// The model of a channel, in the order of the scene from 0: size of its frames, modes, which all channels share, and maps of them.
@@ -198,13 +201,12 @@ pub unsafe extern "C" fn cophase_joint_session_calibrate(
 /// A signal handler may call it. [RT]
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_joint_session_cancel(session: *const cophase_joint_session) -> cophase_status {
-    match unsafe { session.as_ref() } {
-        Some(session) if !session.inside.is_alive() => fence(|| Err(given_back())),
-        Some(session) => {
-            session.cancel.store(true, Ordering::Relaxed);
+    match unsafe { find(session, "session") } {
+        Ok(session) => {
+            session.0.aside.store(true, Ordering::Relaxed);
             COPHASE_OK
         }
-        None => fence(|| Err(null("session"))),
+        Err(error) => fence(|| Err(error)),
     }
 }
 

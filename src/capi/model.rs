@@ -1,10 +1,11 @@
 //! Models: telescope, modes, diversity and camera of a scene, to fit with.
 
-use super::handle::{Handle, fence, give_back, null};
+use super::handle::{Handle, Object, fence, find, give_back};
 use super::input::{Input, cophase_input};
 use super::pointer::{numbers, place, put, put_array, text};
 use super::sized::{self, Options, Outputs};
 use super::status::cophase_status;
+use crate::machine::start_threads;
 use crate::modal::{Arrays, ModalFitter};
 use crate::modes::Group;
 use crate::scene::Scene;
@@ -17,6 +18,10 @@ use std::sync::Arc;
 /// Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it.
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_model(Handle<Named>);
+
+impl Object for cophase_model {
+    const KIND: u64 = 2;
+}
 
 /// The model, with the names of its modes as C has them.
 struct Named {
@@ -96,7 +101,7 @@ impl Named {
 impl cophase_model {
     /// A handle of a model.
     pub(super) fn of(estimator: Arc<ModalFitter>) -> Result<*mut Self> {
-        Ok(Box::into_raw(Box::new(Self(Handle::new(Named::new(estimator)?)))))
+        Ok(Box::into_raw(Box::new(Self(Handle::new::<Self>(Named::new(estimator)?, ())))))
     }
 }
 
@@ -110,13 +115,12 @@ pub(super) fn check_modes(given: usize, modes: usize) -> Result<()> {
 
 /// The estimator behind a handle.
 pub(super) unsafe fn estimator(model: *const cophase_model) -> Result<Arc<ModalFitter>> {
-    let model = unsafe { model.as_ref() }.ok_or_else(|| null("model"))?;
-    model.0.look(|model| model.estimator.clone())
+    unsafe { find(model, "model") }?.0.look(|model| model.estimator.clone())
 }
 
 /// A call that reads the model.
 unsafe fn read(model: *const cophase_model, body: impl FnOnce(&Named) -> Result<()>) -> cophase_status {
-    Handle::read(unsafe { model.as_ref() }.map(|model| &model.0), "model", body)
+    Handle::read(unsafe { find(model, "model") }.map(|model| &model.0), body)
 }
 
 /// Text of a caller's scene, and the directory of its files.
@@ -149,6 +153,7 @@ pub unsafe extern "C" fn cophase_model_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(model, "model")?;
+        start_threads()?;
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
         let estimator = if arrays.is_null() {
             let scene = Scene::from_text(scene_text, directory)?;
@@ -192,7 +197,7 @@ unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
 /// Frees a model; NULL is fine. Its sessions and sequences stay usable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_destroy(model: *mut cophase_model) {
-    unsafe { give_back(model, |model| &model.0) }
+    unsafe { give_back(model) }
 }
 
 /// Writes the sizes of a model. info_size: sizeof(cophase_model_info).

@@ -1,6 +1,6 @@
 //! Sequences: running estimate of images that are fitted one by one.
 
-use super::handle::{Handle, fence, give_back};
+use super::handle::{Handle, Object, fence, find, give_back};
 use super::model::{check_modes, cophase_model, estimator};
 use super::pointer::{place, put, put_array};
 use super::session::{self, cophase_session};
@@ -13,6 +13,10 @@ use crate::modal::{Accumulator, RunningEstimate};
 /// run in several threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_sequence(Handle<Accumulator>);
+
+impl Object for cophase_sequence {
+    const KIND: u64 = 5;
+}
 
 /// Figures of a running estimate. RMS values are over the pupil.
 #[allow(non_camel_case_types)] // a name of the header
@@ -54,12 +58,12 @@ impl From<&RunningEstimate> for cophase_sequence_report {
 
 /// A call that reads the sequence.
 unsafe fn read(sequence: *const cophase_sequence, body: impl FnOnce(&Accumulator) -> Result<()>) -> cophase_status {
-    Handle::read(unsafe { sequence.as_ref() }.map(|sequence| &sequence.0), "sequence", body)
+    Handle::read(unsafe { find(sequence, "sequence") }.map(|sequence| &sequence.0), body)
 }
 
 /// A call that changes it.
 unsafe fn change(sequence: *mut cophase_sequence, body: impl FnOnce(&mut Accumulator) -> Result<()>) -> cophase_status {
-    Handle::change(unsafe { sequence.as_ref() }.map(|sequence| &sequence.0), "sequence", body)
+    Handle::change(unsafe { find(sequence, "sequence") }.map(|sequence| &sequence.0), body)
 }
 
 /// Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
@@ -73,7 +77,7 @@ pub unsafe extern "C" fn cophase_sequence_create(
     fence(|| {
         let out = place(sequence, "sequence")?;
         let made = Accumulator::new(unsafe { estimator(model) }?, capacity)?;
-        unsafe { out.write(Box::into_raw(Box::new(cophase_sequence(Handle::new(made))))) };
+        unsafe { out.write(Box::into_raw(Box::new(cophase_sequence(Handle::new::<cophase_sequence>(made, ()))))) };
         Ok(())
     })
 }
@@ -81,7 +85,7 @@ pub unsafe extern "C" fn cophase_sequence_create(
 /// Frees a sequence; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_destroy(sequence: *mut cophase_sequence) {
-    unsafe { give_back(sequence, |sequence| &sequence.0) }
+    unsafe { give_back(sequence) }
 }
 
 /// Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops

@@ -1,7 +1,7 @@
 //! Sessions: fits with a deadline, in memory that is allocated beforehand.
 
 use super::calibration::{calibration, cophase_calibration, read_noise_e};
-use super::handle::{Handle, fence, give_back, given_back, null};
+use super::handle::{Handle, Object, fence, find, give_back};
 use super::image_report::cophase_image_report;
 use super::input::{COPHASE_F32, COPHASE_F64, Input, cophase_input};
 use super::model::{check_modes, cophase_model, estimator};
@@ -10,6 +10,7 @@ use super::sized::{self, Options, Outputs};
 use super::status::{COPHASE_OK, cophase_status};
 use super::text::*;
 use crate::imaging::Precision;
+use crate::machine::start_threads;
 use crate::modal::{Calibration, CameraMaps, FitOptions, ModalFitter, Session, SessionOptions};
 use crate::optimize::CancelFlag;
 use crate::{Error, Result};
@@ -24,9 +25,10 @@ use std::time::Duration;
 ///
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header
-pub struct cophase_session {
-    inside: Handle<Working>,
-    cancel: CancelFlag,
+pub struct cophase_session(Handle<Working, CancelFlag>);
+
+impl Object for cophase_session {
+    const KIND: u64 = 3;
 }
 
 /// What a call works on.
@@ -212,19 +214,19 @@ pub(super) unsafe fn calibration_for(
 
 /// A call that works in the session.
 unsafe fn change(session: *mut cophase_session, body: impl FnOnce(&mut Working) -> Result<()>) -> cophase_status {
-    Handle::change(unsafe { session.as_ref() }.map(|session| &session.inside), "session", body)
+    Handle::change(unsafe { find(session, "session") }.map(|session| &session.0), body)
 }
 
 /// A call that reads the results of its last fit.
 unsafe fn read(session: *const cophase_session, body: impl FnOnce(&Working) -> Result<()>) -> cophase_status {
     // The kernels of a device belong to one thread at a time, even to be read.
-    Handle::change(unsafe { session.as_ref() }.map(|session| &session.inside), "session", |working| body(working))
+    Handle::change(unsafe { find(session, "session") }.map(|session| &session.0), |working| body(working))
 }
 
 /// The session behind a handle, inside a call on another object.
 pub(super) unsafe fn look<R>(session: *const cophase_session, body: impl FnOnce(&Session) -> R) -> Result<R> {
-    let session = unsafe { session.as_ref() }.ok_or_else(|| null("session"))?;
-    session.inside.look_alone(|working| body(&working.session))
+    let session = unsafe { find(session, "session") }?;
+    session.0.look_alone(|working| body(&working.session))
 }
 
 /// Creates a session of a model, which need not outlive this call.
@@ -241,13 +243,14 @@ pub unsafe extern "C" fn cophase_session_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(session, "session")?;
+        start_threads()?;
         let options = unsafe { session_options(&sized::read(options, "options")?) }?;
         let estimator = unsafe { estimator(model) }?;
         let calibration = electrons_of(&estimator)?;
         let session = Session::new(estimator, &options)?;
         let cancel = session.cancel_flag();
-        let inside = Handle::new(Working { session, calibration });
-        unsafe { out.write(Box::into_raw(Box::new(cophase_session { inside, cancel }))) };
+        let handle = Handle::new::<cophase_session>(Working { session, calibration }, cancel);
+        unsafe { out.write(Box::into_raw(Box::new(cophase_session(handle)))) };
         Ok(())
     })
 }
@@ -255,7 +258,7 @@ pub unsafe extern "C" fn cophase_session_create(
 /// Frees a session; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_destroy(session: *mut cophase_session) {
-    unsafe { give_back(session, |session| &session.inside) }
+    unsafe { give_back(session) }
 }
 
 /// Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, or counts where the
@@ -280,13 +283,12 @@ pub unsafe extern "C" fn cophase_session_calibrate(
 /// A signal handler may call it. [RT]
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session) -> cophase_status {
-    match unsafe { session.as_ref() } {
-        Some(session) if !session.inside.is_alive() => fence(|| Err(given_back())),
-        Some(session) => {
-            session.cancel.store(true, Ordering::Relaxed);
+    match unsafe { find(session, "session") } {
+        Ok(session) => {
+            session.0.aside.store(true, Ordering::Relaxed);
             COPHASE_OK
         }
-        None => fence(|| Err(null("session"))),
+        Err(error) => fence(|| Err(error)),
     }
 }
 

@@ -1,12 +1,13 @@
 //! Simulator of adaptive optics.
 
-use super::handle::{Handle, fence, give_back};
+use super::handle::{Handle, Object, fence, find, give_back};
 use super::model::scene;
 use super::pointer::{place, put_array, put_text};
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::COPHASE_TEXT_WARNINGS;
 use crate::ao::Stepper;
+use crate::machine::start_threads;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::ffi::c_char;
@@ -32,6 +33,10 @@ pub const COPHASE_ARRAY_TRUTH_NM: i32 = 105;
 /// (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_simulator(Handle<Stepper>);
+
+impl Object for cophase_simulator {
+    const KIND: u64 = 6;
+}
 
 /// Sizes and state of a simulator.
 #[allow(non_camel_case_types)] // a name of the header
@@ -62,12 +67,12 @@ pub struct cophase_simulator_info {
 
 /// A call that reads the simulator.
 unsafe fn read(simulator: *const cophase_simulator, body: impl FnOnce(&Stepper) -> Result<()>) -> cophase_status {
-    Handle::read(unsafe { simulator.as_ref() }.map(|simulator| &simulator.0), "simulator", body)
+    Handle::read(unsafe { find(simulator, "simulator") }.map(|simulator| &simulator.0), body)
 }
 
 /// A call that changes it.
 unsafe fn change(simulator: *mut cophase_simulator, body: impl FnOnce(&mut Stepper) -> Result<()>) -> cophase_status {
-    Handle::change(unsafe { simulator.as_ref() }.map(|simulator| &simulator.0), "simulator", body)
+    Handle::change(unsafe { find(simulator, "simulator") }.map(|simulator| &simulator.0), body)
 }
 
 /// Builds the AO system of a scene, before its first frame; about a second at the size of Keck.
@@ -84,9 +89,10 @@ pub unsafe extern "C" fn cophase_simulator_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(simulator, "simulator")?;
+        start_threads()?;
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
         let scene = Scene::from_text(scene_text, directory)?;
-        let made = Box::new(cophase_simulator(Handle::new(Stepper::new(&scene)?)));
+        let made = Box::new(cophase_simulator(Handle::new::<cophase_simulator>(Stepper::new(&scene)?, ())));
         unsafe { out.write(Box::into_raw(made)) };
         Ok(())
     })
@@ -95,7 +101,7 @@ pub unsafe extern "C" fn cophase_simulator_create(
 /// Frees a simulator; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_destroy(simulator: *mut cophase_simulator) {
-    unsafe { give_back(simulator, |simulator| &simulator.0) }
+    unsafe { give_back(simulator) }
 }
 
 /// Advances the loop by a number of frames, in this thread. A loop that diverges goes on; see divergence_s.

@@ -94,6 +94,11 @@ impl FitsReader {
                 "column `{column}` of `{hdu}` has elements of {width} bytes, which do not fit its rows"
             )));
         }
+        let hdu = &self.layout.hdus[index];
+        let [scale, offset] = ["TSCAL", "TZERO"].map(|key| format!("{key}{number}"));
+        if let Some(reason) = hdu.scaling_fault([&scale, &offset]).filter(|_| code.abs() != TSTRING) {
+            return Err(self.refuse(reason));
+        }
         Ok(Column { name: column.to_string(), number, rows, code, repeat, width })
     }
 }

@@ -2,6 +2,7 @@
 //! `night.fits[SCI,2]`.
 
 use super::layout::Layout;
+use super::regular;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -31,7 +32,7 @@ pub fn file_of(path: impl AsRef<Path>) -> PathBuf {
 pub fn is_fits(path: impl AsRef<Path>) -> crate::Result<bool> {
     let path = file_of(path);
     let mut start = Vec::new();
-    let read = std::fs::File::open(&path).and_then(|file| file.take(6).read_to_end(&mut start));
+    let read = regular::open(&path, "a FITS file or a text")?.take(6).read_to_end(&mut start);
     read.map_err(|error| crate::Error::file(&path, error))?;
     Ok(start == b"SIMPLE" || start.starts_with(&[0x1f, 0x8b]))
 }

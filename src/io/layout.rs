@@ -11,6 +11,9 @@ use super::repair::{self, Repairs};
 /// Longest accepted header, in cards (8 MB): real headers have hundreds.
 const MAX_CARDS: usize = 100_000;
 
+/// Bytes of such a header.
+pub(super) const MAX_HEADER: u64 = (MAX_CARDS * CARD) as u64;
+
 /// Largest accepted number of HDUs: real files have tens.
 const MAX_HDUS: usize = 10_000;
 
@@ -58,6 +61,20 @@ impl Hdu {
         let cards = self.header.as_chunks::<CARD>().0;
         let found = cards.iter().find(|found| card::keyword(found) == key.as_bytes())?;
         card::value_and_comment(found)
+    }
+
+    /// What is wrong with the scale and the offset of its values, whose cards these are, as a sentence: real = scale · stored + offset.
+    pub fn scaling_fault(&self, [scale, offset]: [&str; 2]) -> Option<String> {
+        let fault = |key: &str, accepts_zero: bool| {
+            let value = self.value(key).filter(|value| !value.is_empty())?;
+            // Fortran writes the exponent of a double with a D. A number beyond all doubles is infinite.
+            let number = value.replace(['D', 'd'], "E").parse::<f64>().ok();
+            let is_accepted = number.is_some_and(|number| number.is_finite() && (accepts_zero || number != 0.0));
+            let accepted = if accepts_zero { "a finite number" } else { "a finite number other than 0" };
+            (!is_accepted)
+                .then(|| format!("the card {key} of {} is {value}, where {accepted} is needed", self.described()))
+        };
+        fault(scale, false).or_else(|| fault(offset, true))
     }
 
     /// Columns of a table, in order.
@@ -139,6 +156,15 @@ pub(super) fn scan(source: &mut (impl Read + Seek), length: u64) -> Result<Layou
         layout.hdus.push(hdu);
     }
     Ok(layout)
+}
+
+/// Bytes of data that the header at byte `at` declares; `None` where no HDU starts there. `source` has `length` bytes, up to the end of the header.
+///
+/// # Errors
+/// As [`scan`].
+pub(super) fn declared_bytes(source: &mut (impl Read + Seek), at: u64, length: u64) -> Result<Option<u64>, String> {
+    let hdu = read_hdu(source, at, length, &mut Repairs::default())?;
+    Ok(hdu.map(|hdu| hdu.data_bytes))
 }
 
 /// The HDU at byte `at`; `None` where an extension cannot start there.

@@ -26,7 +26,9 @@ mod header;
 mod image_hdu;
 mod images;
 mod layout;
+mod packed;
 mod read;
+mod regular;
 mod repair;
 mod standard;
 mod text_table;
@@ -34,7 +36,7 @@ mod tiles;
 mod value;
 mod write;
 
-pub use crate::atomic::write as write_atomically;
+pub use crate::atomic::{abandon as abandon_files, abandon_with, write as write_atomically};
 pub use column::Column;
 pub use extension::{file_of, is_fits};
 pub use header::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};

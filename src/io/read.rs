@@ -1,7 +1,6 @@
 //! FITS reader: opens a file once, then reads its images, maps, tables and cards.
 
 use std::ffi::CString;
-use std::fs::File;
 use std::io::{Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 
@@ -12,11 +11,9 @@ use super::extension;
 use super::layout::{self, Hdu, HduKind, Layout};
 use super::standard;
 use super::value::{Card, checked_keyword};
+use super::{packed, regular};
 use crate::machine;
 use crate::{Error, Result};
-
-/// Largest unpacked size of a `.gz` file, bytes: a small file can unpack to a thousand times its size.
-const MAX_UNPACKED: u64 = 4 << 30;
 
 /// Longest file name that cfitsio opens (FLEN_FILENAME of fitsio.h, less a margin); files with longer names are read into
 /// memory.
@@ -60,12 +57,12 @@ impl FitsReader {
 
     fn open_file(path: &Path) -> Result<Self> {
         let refused = |reason: String| Error::file(path, reason);
-        let mut file = open_plain(path)?;
+        let mut file = regular::open(path, "a FITS file")?;
         let mut magic = [0; 2];
         let packed = file.read(&mut magic).is_ok_and(|got| got == 2 && magic == [0x1f, 0x8b]);
         file.rewind().map_err(|error| refused(format!("cannot be read: {error}")))?;
         if packed {
-            let mut source = Cursor::new(unpack(file).map_err(refused)?);
+            let mut source = Cursor::new(packed::unpack(file).map_err(refused)?);
             return Self::from_source(path, &mut source, None).map_err(refused);
         }
         let direct = (path.as_os_str().len() <= MAX_NAME).then_some(path);
@@ -297,6 +294,9 @@ impl FitsReader {
         if shape.contains(&0) {
             return Err(self.refuse(format!("the image {what} has no pixels: its shape is {shape:?}")));
         }
+        if let Some(reason) = hdu.scaling_fault(["BSCALE", "BZERO"]) {
+            return Err(self.refuse(reason));
+        }
         let integers = hdu.bitpix > 0;
         self.move_to(index)?;
         let pixels: usize = shape.iter().product();
@@ -327,32 +327,4 @@ pub fn read_map(path: impl AsRef<Path>, hdu: Option<&str>) -> Result<Array2<f64>
 /// Reads a cube of `path`: [`FitsReader::cube`].
 pub fn read_cube(path: impl AsRef<Path>, hdu: &str) -> Result<Array3<f64>> {
     FitsReader::open(path)?.cube(hdu)
-}
-
-/// Opens a regular file.
-fn open_plain(path: &Path) -> Result<File> {
-    let refused = |error: std::io::Error| match error.kind() {
-        std::io::ErrorKind::NotFound => Error::file(path, "there is no such file"),
-        _ => Error::file(path, format!("cannot be opened: {error}")),
-    };
-    // Checked before opening: opening a pipe would wait for its writer.
-    let metadata = std::fs::metadata(path).map_err(refused)?;
-    if metadata.is_dir() {
-        return Err(Error::file(path, "is a directory, where a FITS file is needed"));
-    }
-    if !metadata.is_file() {
-        return Err(Error::file(path, "is a device or a pipe, where a plain FITS file is needed"));
-    }
-    File::open(path).map_err(refused)
-}
-
-/// The bytes of a gzip file, at most [`MAX_UNPACKED`].
-fn unpack(file: File) -> CfitsioResult<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let unpacked = flate2::read::MultiGzDecoder::new(file).take(MAX_UNPACKED + 1).read_to_end(&mut bytes);
-    unpacked.map_err(|error| format!("the gzip stream is damaged after {} unpacked bytes: {error}", bytes.len()))?;
-    if bytes.len() as u64 > MAX_UNPACKED {
-        return Err(format!("unpacks to more than {MAX_UNPACKED} bytes: at most that many are accepted"));
-    }
-    Ok(bytes)
 }

@@ -2,6 +2,7 @@
 
 use super::card::{self, BLOCK, CARD};
 use super::layout::{Hdu, HduKind, Layout};
+use super::packed;
 use super::tiles::{self, Image};
 use std::io::{Read, Seek, SeekFrom};
 
@@ -48,7 +49,11 @@ pub(super) fn standard_file(layout: &mut Layout, source: &mut (impl Read + Seek)
 /// Puts the plain image in the place of a tile-compressed one, whose header and data are at the end of `file`; gives whether it
 /// could be unpacked.
 fn unpack(hdu: &mut Hdu, file: &mut Vec<u8>, header_at: usize, data_at: usize) -> bool {
-    match tiles::unpack(hdu, &file[data_at..]) {
+    let check = tiles::declared_bytes(hdu).map_or(Ok(()), |bytes| {
+        let what = format!("the image {}", hdu.described());
+        packed::check_unpacked(&what, (header_at as u64).saturating_add(bytes), "funpack")
+    });
+    match check.and_then(|()| tiles::unpack(hdu, &file[data_at..])) {
         Ok(Image { bitpix, axes, header, data }) => {
             file.truncate(header_at);
             file.extend_from_slice(&header);

@@ -1,9 +1,10 @@
 //! Text tables of a user's: columns separated by white space or commas, comments that begin with `#`.
 
+use super::regular;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Bytes of the largest table that is read: some 50,000 rows.
+/// Bytes of the largest table that is read: some 50,000 rows; 256 × 256 entries of a map of cells take at most half of it.
 const LARGEST: u64 = 1 << 20;
 
 /// Row of a text table: its line in the file, from 1, and its words.
@@ -51,12 +52,10 @@ pub fn text_rows(text: &str) -> Vec<TextRow<'_>> {
 /// Reads the text of a table; `origin` says where its name is from, for messages.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read or is larger than 1 MiB.
+/// [`Error::File`] for a file that cannot be read, is no regular file, or is larger than 1 MiB.
 pub fn read_text(path: &Path, origin: &str) -> Result<String> {
-    let about = |reason: &dyn std::fmt::Display| Error::file(path, format_args!("{reason}; {origin}"));
-    let size = std::fs::metadata(path).map_err(|error| about(&error))?.len();
-    if size > LARGEST {
-        return Err(about(&format!("{size} bytes are too many for a table; at most {LARGEST} are accepted")));
-    }
-    std::fs::read_to_string(path).map_err(|error| about(&error))
+    regular::read_text(path, "a text table", LARGEST).map_err(|error| match error {
+        Error::File { path, reason } => Error::File { path, reason: format!("{reason}; {origin}") },
+        other => other,
+    })
 }

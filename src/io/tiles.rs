@@ -46,6 +46,14 @@ pub(super) struct Image {
     pub data: Vec<u8>,
 }
 
+/// Bytes of the image in the compressed `hdu` by its header; `None` where that does not say it, which [`unpack`] refuses.
+pub(super) fn declared_bytes(hdu: &Hdu) -> Option<u64> {
+    let number = |key: &str| hdu.value(key).and_then(card::integer).and_then(|number| u64::try_from(number.abs()).ok());
+    let axes = number("ZNAXIS").filter(|&axes| axes <= 999)?;
+    let bytes = number("ZBITPIX")? / 8;
+    (1..=axes).try_fold(bytes, |bytes, n| Some(bytes.saturating_mul(number(&format!("ZNAXIS{n}"))?)))
+}
+
 /// The image in the compressed `hdu` with the data `data`.
 ///
 /// # Errors

@@ -61,7 +61,7 @@ impl FitsWriter {
         }
         let target = Target::new(&path)?;
         // Created and removed immediately: only `finish` leaves a file.
-        drop(target.temporary()?);
+        target.temporary()?.discard();
         let mut handle = Handle::create().map_err(|reason| Error::file(&path, reason))?;
         // SAFETY: no axes, so none are read.
         let made = handle.call(|file, status| unsafe { sys::ffcrimll(file, 8, 0, std::ptr::null_mut(), status) });

@@ -9,6 +9,7 @@
 
 use super::prepare::Frame;
 use crate::scene::Scene;
+use crate::statistics::upper_median_in_place;
 use crate::telescope::Filter;
 use cophase_numerics::cholesky::Cholesky;
 use cophase_numerics::fft::{Fft, FftDirection, FftReal};
@@ -102,6 +103,9 @@ impl OutlierFinder {
         // At the rim the variances are rounding: 1e-16 of those of the light.
         let variance_e2 =
             self.inverse(self.forward(&faded_e2) * &self.square).mapv(|e2| e2.max(MIN_VARIANCE_SHARE * floor_e2));
+        if self.is_noisier(&high_e, &variance_e2, most) {
+            return None;
+        }
         let mut left_e = high_e.clone();
         let (mut outliers, mut excess_e): (Vec<(usize, usize)>, Vec<f64>) = Default::default();
         loop {
@@ -142,6 +146,16 @@ impl OutlierFinder {
             }
         }
         (1..=most).contains(&found.rejected).then_some(found)
+    }
+
+    /// Whether the frame is so much noisier than stated that noise alone exceeds the limit in more than `most` pixels: the search would add one after
+    /// the other, and find none in the end. Of noise that is s times as large at most N·exp(−(6/s)²/2) pixels do; the median of squares, 0.455 s² of
+    /// Gaussian noise, is that of the pixels without outliers.
+    fn is_noisier(&self, high_e: &Array2<f64>, variance_e2: &Array2<f64>, most: usize) -> bool {
+        const MEDIAN_OF_SQUARES: f64 = 0.455;
+        let mut squares: Vec<f64> = high_e.iter().zip(variance_e2).map(|(e, e2)| e * e / e2).collect();
+        let scale_squared = (upper_median_in_place(&mut squares) / MEDIAN_OF_SQUARES).max(f64::MIN_POSITIVE);
+        high_e.len() as f64 * (-0.5 * OUTLIER_SIGMA.powi(2) / scale_squared).exp() > most as f64
     }
 
     /// Excess of each of these pixels, fitted together, e⁻: least squares in the frequencies without light.
@@ -265,6 +279,20 @@ mod tests {
                 assert!(off_e.abs() < 20.0 * (image_e[at].max(0.0) + NOISE_E * NOISE_E).sqrt(), "{at:?}: {off_e}");
             }
         }
+    }
+
+    /// Noise that is understated is no outlier, and is seen before any is searched for.
+    #[test]
+    fn understated_noise_is_seen_before_the_search() {
+        let scene = scene(&[("image.pixels", "132")]);
+        let image_e = images(&scene).index_axis_move(Axis(0), 0);
+        let finder = OutlierFinder::new(&scene, &Filter::new(&scene).unwrap()).unwrap();
+        let is_noisier = |scale: f64| {
+            let high_e = image_e.mapv(|e| scale * NOISE_E * (0.7 * e).sin());
+            finder.is_noisier(&high_e, &Array2::from_elem(image_e.dim(), NOISE_E * NOISE_E), 48)
+        };
+        // A sine has a median square of a half.
+        assert_eq!([1.0, 1.3, 3.0].map(is_noisier), [false, false, true]);
     }
 
     #[test]

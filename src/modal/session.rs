@@ -319,6 +319,7 @@ impl Shared {
 
     /// The engine for `chain`, with its memory.
     fn engine(&self, chain: Chain, options: &SessionOptions) -> Result<Box<dyn Engine>> {
+        crate::machine::check_threads("threads", options.threads)?;
         let threads = (options.threads > 0).then_some(options.threads);
         Ok(match chain {
             Chain::Cpu64(chain) => {

@@ -42,6 +42,8 @@ use std::borrow::Cow;
 
 /// Images that are looked at, evenly from a sequence.
 const MAX_IMAGES: usize = 6;
+/// Ratio of reduced χ² above which a setting raises it. Fits of images that are not explained end in minima that differ by some per cent.
+const RAISED: f64 = 1.05;
 
 /// What a check found.
 #[derive(Debug, Clone)]
@@ -148,7 +150,7 @@ impl Work<'_> {
         let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
         let mut findings: Vec<_> = focus.into_iter().collect();
         findings.push(self.saturation(given, &cache, &mut fitted)?);
-        let (scene, orientation) = self.orientation(given, &cache, &mut fitted, poke)?;
+        let (scene, orientation) = self.orientation((own, given), &cache, &mut fitted, poke)?;
         findings.extend(orientation);
         let mut causes = self.causes(&scene, &cache.for_scene(given, &scene), &fitted)?;
         if let Some(found) = causes.iter_mut().find(|one| one.quantity == CheckedQuantity::PlateScaleOrWavelength) {
@@ -161,16 +163,36 @@ impl Work<'_> {
         findings.extend(self.header(&scene, &cache.for_scene(given, &scene), &fitted));
         sort(&mut findings);
         findings.iter_mut().for_each(|finding| finding.take_form_of(given));
+        let corrected = self.correct(given, &cache, first_chi2, &mut findings)?;
         let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
-        let mut corrected = None;
-        if !settings.is_empty() {
-            let scene = with(given, &settings)?;
-            let again = self.fit(&scene, &cache.for_scene(given, &scene))?;
-            corrected = Some((chi2_of(&again), again.fit.1.compared));
-        }
         let last_chi2 = corrected.as_ref().map_or(first_chi2, |(chi2, _)| *chi2);
         let compared = (first, corrected.map(|(_, image)| image));
         Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
+    }
+
+    /// Reduced χ² and first image of the fit with the settings of the first fault, where it has some. A fault whose settings raise χ² is none that was
+    /// found: it is not proposed, and the next one takes its place.
+    fn correct(
+        &self,
+        given: &Scene,
+        cache: &ModelCache,
+        own_chi2: f64,
+        findings: &mut [Finding],
+    ) -> Result<Option<(f64, FittedImage)>> {
+        // Each time one fault less.
+        while let Some(first) = findings.first_mut().filter(|first| !first.settings.is_empty()) {
+            let scene = with(given, &first.settings)?;
+            let again = self.fit(&scene, &cache.for_scene(given, &scene))?;
+            let chi2 = chi2_of(&again);
+            if !is_raised(chi2, own_chi2) {
+                return Ok(Some((chi2, again.fit.1.compared)));
+            }
+            first.explanation += &format!("; {}", raised(&first.settings, chi2, own_chi2));
+            (first.verdict, first.gain) = (Verdict::NotDetermined, 0.0);
+            first.settings.clear();
+            sort(findings);
+        }
+        Ok(None)
     }
 
     /// Fits the images, and finds where one is in focus and the scene has a defocus, which NCPA of the opposite focus may explain; or the reverse,
@@ -260,6 +282,18 @@ fn sort(findings: &mut [Finding]) {
         let gains = if rank(a) == 0 { b.gain.total_cmp(&a.gain) } else { std::cmp::Ordering::Equal };
         rank(a).cmp(&rank(b)).then(gains)
     });
+}
+
+/// Whether a reduced χ² is higher than before: more than fits of an image that the model does not explain differ by. Below 1 the noise is stated too
+/// large, and its right value raises χ² to 1.
+fn is_raised(chi2: f64, before: f64) -> bool {
+    chi2 > RAISED * before.max(1.0)
+}
+
+/// Why settings are not proposed.
+fn raised(settings: &[(String, String)], chi2: f64, before: f64) -> String {
+    let settings: Vec<String> = settings.iter().map(|(key, value)| format!("{key} = {value}")).collect();
+    format!("not proposed: with {} the reduced χ² rises from {before:.3} to {chi2:.3}", settings.join(" and "))
 }
 
 /// Median reduced χ² of the images that are used.

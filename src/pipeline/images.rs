@@ -1,5 +1,6 @@
 //! Images of an estimate, with bad pixels, read noise, telemetry and truth.
 
+use super::scene_files::refuse_foreign_files;
 use crate::ao::{AOT_SCENE, MOVED_REFERENCE};
 use crate::io::aot::MatchedSlopes;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
@@ -148,7 +149,7 @@ impl Images {
     pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Self>> {
         let path = path.as_ref();
         // A scene of another version, with other keys, cannot be compared.
-        let scene = embedded_scene(path).ok().flatten();
+        let scene = embedded_scene(path, |_| true).ok().flatten();
         let truth = TruthMaps::read(path)?;
         let mut file = FitsReader::open(path)?;
         let moved = moved_reference(&mut file)?;
@@ -314,10 +315,12 @@ impl TruthMaps {
 }
 
 /// The scene that a FITS file carries in its table `SCENE`, or a file of AOT as [`AOT_SCENE`] in its card `CONFIG`, if it has one; its relative file names refer to the file's folder.
+/// A file that is read may come from anybody: its scene names files in or below its own folder only, except under keys that `is_accepted` accepts.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read, or a table that is not a valid scene.
-pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
+/// [`Error::File`] for a file that cannot be read, a table that is not a valid scene, and a scene that names a file which is there, but outside of the
+/// folder.
+pub fn embedded_scene(path: &Path, is_accepted: impl Fn(&str) -> bool) -> Result<Option<Scene>> {
     let mut file = FitsReader::open(path)?;
     let (text, place) = if io::aot::is_aot(&file) {
         let text = io::aot::configuration(&mut file)?;
@@ -329,7 +332,10 @@ pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     };
     let Some(text) = text else { return Ok(None) };
     let directory = path.parent().unwrap_or(Path::new(""));
-    Scene::embedded(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("{place}: {error}")))
+    let scene =
+        Scene::embedded(&text, directory).map_err(|error| Error::file(path, format_args!("{place}: {error}")))?;
+    refuse_foreign_files(&scene, path, is_accepted)?;
+    Ok(Some(scene))
 }
 
 /// By how much corrections have moved the reference slopes, where the file says it.

@@ -59,7 +59,7 @@ pub use foreign_truth::{ForeignComparison, ForeignTruth};
 pub use frame_estimator::{FrameEstimate, FrameEstimator};
 pub use images::{Images, Trust, TruthMaps, embedded_scene};
 pub use observation::{Observation, ObservationPlan, plan_observation};
-pub use orientation::{Orientation, OrientationCandidate, Poke, check_orientation};
+pub use orientation::{MovedPart, Orientation, OrientationCandidate, Poke, PokeResult, check_orientation};
 pub use outcome::ImageOutcome;
 pub use parts::{FittedPart, Part, PartFits};
 pub use piston_table::read_pistons;

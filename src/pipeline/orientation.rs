@@ -10,7 +10,7 @@ mod candidates;
 #[cfg(test)]
 mod tests;
 
-pub use candidates::{OrientationCandidate, Poke};
+pub use candidates::{MovedPart, OrientationCandidate, Poke};
 
 use super::control::Control;
 use super::estimate::Estimate;
@@ -47,23 +47,42 @@ pub struct Orientation {
     pub equivalent: Vec<OrientationCandidate>,
     /// Keys of the scene to set, with their values; empty where the scene's are right.
     pub settings: Vec<(String, String)>,
+    /// The segment or actuator that moved, if the scene has the orientation of the images; `None` for images that are turned by 90°.
+    pub moved: Option<MovedPart>,
     /// What a user should know.
     pub warnings: Vec<String>,
+}
+
+impl Orientation {
+    /// The part that moved in the scene's own orientation, where it is another one than was stated.
+    pub fn other_part(&self) -> Option<&MovedPart> {
+        self.moved.as_ref().filter(|moved| !moved.is_stated && moved.correlation.abs() >= LEAST_CORRELATION)
+    }
+}
+
+/// What a poke shows.
+#[derive(Debug, Clone)]
+pub enum PokeResult {
+    /// The orientation.
+    Orientation(Box<Orientation>),
+    /// Another segment or actuator moved than was stated, in the scene's own orientation, which no orientation explains as well; a sentence.
+    OtherPart(String),
+    /// It does not decide; the reason.
+    Undecided(String),
 }
 
 /// Finds the orientation of `after`, images behind a poke, against `before`, images without it; without those, the poke must be
 /// larger than the errors of the wavefront.
 ///
 /// # Errors
-/// Those of [`Estimator::estimate`]; [`Error::Value`] for a poke of nothing, one that the images do not show, and one that does
-/// not distinguish two orientations.
+/// Those of [`Estimator::estimate`]; [`Error::Value`] for a poke of nothing, or of a part that the scene does not have.
 pub fn check_orientation(
     scene: &Scene,
     before: Option<&Images>,
     after: &Images,
     poke: Poke,
     control: &Control,
-) -> Result<Orientation> {
+) -> Result<PokeResult> {
     let telescope = Telescope::new(scene)?;
     let expected = ExpectedMap::new(scene, &telescope, poke)?;
     let estimator = Estimator::with_policy(scene, Policy::default(), control.clone())?;
@@ -86,8 +105,13 @@ pub fn check_orientation(
         None => found.0.wavefront_nm(),
     };
     let difference_nm = pupil.remove_piston_tip_tilt(difference_nm.view())?;
-    let candidates = expected.candidates(pupil, scene, &difference_nm, found.0.basis.names.len())?;
-    let mut orientation = selected(candidates, &expected, pupil, scene, quarter_turn)?;
+    let modes = found.0.basis.names.len();
+    let candidates = expected.candidates(pupil, scene, &difference_nm, modes)?;
+    let moved = if quarter_turn { None } else { expected.moved(pupil, &difference_nm, modes)? };
+    let mut orientation = match selected(candidates, moved, &expected, pupil, scene, quarter_turn)? {
+        PokeResult::Orientation(orientation) => orientation,
+        other => return Ok(other),
+    };
     for (name, estimate) in [("after", Some(&found.0)), ("before", found.1.as_ref())] {
         if let Some(estimate) = estimate.filter(|estimate| estimate.status != ImageStatus::Ok) {
             orientation.warnings.push(format!(
@@ -97,7 +121,7 @@ pub fn check_orientation(
             ));
         }
     }
-    Ok(orientation)
+    Ok(PokeResult::Orientation(orientation))
 }
 
 /// The images turned by −90° about the axis, pixel M/2: the line that wraps around is bad.
@@ -120,21 +144,39 @@ fn turned(images: &Images) -> Images {
 /// The likeliest orientation, the simplest of those that the poke does not distinguish.
 fn selected(
     candidates: Vec<OrientationCandidate>,
+    moved: Option<MovedPart>,
     expected: &ExpectedMap,
     pupil: &Pupil,
     scene: &Scene,
     quarter_turn: bool,
-) -> Result<Orientation> {
+) -> Result<PokeResult> {
     let name = expected.name();
+    let undecided = |sentence: String| Ok(PokeResult::Undecided(sentence));
     let Some(likeliest) = candidates.first().copied() else {
         return Err(Error::Internal("no orientation was compared".into()));
     };
+    let is_likelier = |moved: &&MovedPart| moved.log_likelihood - likeliest.log_likelihood > LEAST_RATIO.ln();
+    if let Some(moved) = moved
+        .as_ref()
+        .filter(|moved| !moved.is_stated && moved.correlation.abs() >= LEAST_CORRELATION)
+        .filter(is_likelier)
+    {
+        return Ok(PokeResult::OtherPart(format!(
+            "{} moved, in the scene's own orientation (correlation {:.3}, {:.2} times the poke): the images do not show {name} as well in any \
+             orientation ({:.3} at most, in {})",
+            moved.name,
+            moved.correlation.abs(),
+            moved.amplitude,
+            likeliest.correlation,
+            described(&likeliest)
+        )));
+    }
     if likeliest.correlation < LEAST_CORRELATION {
-        return Err(Error::Value(format!(
+        return undecided(format!(
             "the images do not show {name}: its largest correlation with their difference is {:.2} in any orientation, where \
              {LEAST_CORRELATION} or more is needed; give the images before and after, or a larger poke",
             likeliest.correlation
-        )));
+        ));
     }
     let map = |candidate: &OrientationCandidate| expected.map_nm(pupil, candidate.flip, candidate.rotation_deg);
     let own = map(&likeliest)?;
@@ -149,23 +191,23 @@ fn selected(
     equivalent.sort_by_key(complexity);
     let best = equivalent.remove(0);
     if let Some(other) = equivalent.iter().find(|other| other.rotation_deg == 0.0 && best.rotation_deg == 0.0) {
-        return Err(Error::Value(format!(
+        return undecided(format!(
             "{name} does not distinguish {} from {}: it is on a symmetry axis of the pupil, poke one that is not",
             described(&best),
             described(other)
-        )));
+        ));
     }
     let Some(runner_up) = others.first().copied() else {
-        return Err(Error::Value(format!("{name} does not distinguish any orientation: poke one off the axis")));
+        return undecided(format!("{name} does not distinguish any orientation: poke one off the axis"));
     };
     if best.log_likelihood - runner_up.log_likelihood < LEAST_RATIO.ln() {
-        return Err(Error::Value(format!(
+        return undecided(format!(
             "{name} does not distinguish {} (correlation {:.2}) from {} ({:.2}): give the images before and after, or a larger poke",
             described(&best),
             best.correlation,
             described(&runner_up),
             runner_up.correlation
-        )));
+        ));
     }
     let mut warnings = Vec::new();
     if best.sign > 0.0 && !USUAL_AMPLITUDE.contains(&best.amplitude) {
@@ -202,7 +244,7 @@ fn selected(
             ));
         }
     }
-    Ok(Orientation { best, runner_up, equivalent, settings, warnings })
+    Ok(PokeResult::Orientation(Box::new(Orientation { best, runner_up, equivalent, settings, moved, warnings })))
 }
 
 /// The orientation of images that were turned by −90° before: R(90°)·F·R(θ) = F·R(±90° + θ), − for a single flip.

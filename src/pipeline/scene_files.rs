@@ -3,8 +3,11 @@
 use crate::io::file_of;
 use crate::scene::{Aperture, Purpose, Scene};
 use crate::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::SystemTime;
+
+/// Most bytes of a file that a scene names: 1000 maps of 512 × 512 samples in double precision.
+const LARGEST_BYTES: u64 = 2 << 30;
 
 /// Files that each channel may have of its own.
 const DIVERSITY_FILE: &str = "image.diversity_file";
@@ -72,9 +75,65 @@ pub fn check_scene_files(scene: &Scene, is_checked: impl Fn(&str) -> bool) -> Re
     // A FITS file may have an HDU in brackets behind its name.
     let is_there = |path: &Path| file_of(path).exists();
     let missing = |(key, path): &(&str, PathBuf)| *key != "aberrations.ncpa_file" && is_checked(key) && !is_there(path);
-    match scene_files(scene).into_iter().find(missing) {
-        Some((key, path)) => Err(Error::file(path, format_args!("there is no such file; {key} of the scene names it"))),
-        None => Ok(()),
+    let files = scene_files(scene);
+    if let Some((key, path)) = files.iter().find(|file| missing(file)) {
+        return Err(Error::file(path, format_args!("there is no such file; {key} of the scene names it")));
+    }
+    // Also those that need not be there: what is there may be read.
+    for (key, path) in files.iter().filter(|(_, path)| is_there(path)) {
+        check_file(&file_of(path)).map_err(|error| match error {
+            Error::File { path, reason } => Error::file(path, format_args!("{reason}; {key} of the scene names it")),
+            other => other,
+        })?;
+    }
+    Ok(())
+}
+
+/// Refuses the scene in the file `image` where it names an existing file outside of that file's folder, under a key that `is_accepted` does not
+/// accept: it would read what its maker may not see. Files that are not there are missed where they are needed.
+pub(super) fn refuse_foreign_files(scene: &Scene, image: &Path, is_accepted: impl Fn(&str) -> bool) -> Result<()> {
+    // The parent of a plain name is empty.
+    let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = plain(folder)?;
+    for (key, path) in scene_files(scene) {
+        if !is_accepted(key) && file_of(&path).exists() && !plain(&path)?.starts_with(&folder) {
+            let path = path.display();
+            return Err(Error::file(
+                image,
+                format_args!(
+                    "the scene in it names {path} ({key}), which is outside of its folder: a file beside the image is accepted; give the scene \
+                     itself, or accept its files (--foreign-files)"
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// `path` from the root, without `.` and `..`. Links are as they are: who may put one beside the image may read what it points to.
+fn plain(path: &Path) -> Result<PathBuf> {
+    let mut plain = PathBuf::new();
+    for component in std::path::absolute(path).map_err(|error| Error::file(path, error))?.components() {
+        match component {
+            Component::ParentDir => drop(plain.pop()),
+            other => plain.push(other),
+        }
+    }
+    Ok(plain)
+}
+
+/// Length of a file that a scene names.
+///
+/// # Errors
+/// [`Error::File`] for anything but a regular file of at most [`LARGEST_BYTES`].
+pub(super) fn check_file(path: &Path) -> Result<u64> {
+    let metadata = path.metadata().map_err(|error| Error::file(path, error))?;
+    if !metadata.is_file() {
+        return Err(Error::file(path, "is a directory, a device or a pipe, where a regular file is needed"));
+    }
+    match metadata.len() {
+        length if length <= LARGEST_BYTES => Ok(length),
+        length => Err(Error::file(path, format_args!("has {length} bytes: at most {LARGEST_BYTES} are accepted"))),
     }
 }
 
@@ -84,5 +143,6 @@ pub fn check_scene_files(scene: &Scene, is_checked: impl Fn(&str) -> bool) -> Re
 /// # Errors
 /// As [`check_scene_files`].
 pub(super) fn check_for_estimate(scene: &Scene) -> Result<()> {
-    if scene.purpose() == Purpose::Embedded { Ok(()) } else { check_scene_files(scene, |_| true) }
+    let is_whole = scene.purpose() != Purpose::Embedded;
+    check_scene_files(scene, |_| is_whole)
 }

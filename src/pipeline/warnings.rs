@@ -105,7 +105,7 @@ pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result
              scene's orientation and diversity together."
         }
     };
-    const POKE: &str = "'cophase check-orientation' finds it from a known poke of a segment or an actuator";
+    const POKE: &str = "'cophase check --before' finds it from a known poke of a segment or an actuator";
     Ok(if is_turned_equal || is_flipped_equal {
         Some(format!(
             "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \

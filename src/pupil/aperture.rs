@@ -25,8 +25,6 @@ pub struct HexagonalParameters {
     pub removed_rings: usize,
     /// Largest distance of a segment's centre from the axis, m; `None` for complete rings.
     pub outer_radius_m: Option<f64>,
-    /// Labels of the segments; empty for their numbers.
-    pub labels: Vec<i32>,
     /// Whether there is a segment in the centre.
     pub central_segment: bool,
     /// Diameter of the disc that shadows the centre, m; 0 for none.
@@ -51,7 +49,6 @@ impl HexagonalParameters {
             gap_m: 0.003,
             removed_rings: 0,
             outer_radius_m: None,
-            labels: Vec::new(),
             central_segment: false,
             obscuration_diameter_m: 0.0,
             spider_width_m: 0.0,
@@ -70,23 +67,6 @@ impl HexagonalParameters {
             pitch_m: if self.is_round { 2.0 } else { 3f64.sqrt() } * self.segment_side_m + self.gap_m,
             outer_radius_m: self.outer_radius_m,
             rotation_deg: self.rotation_deg,
-        }
-    }
-
-    /// Labels of `count` segments.
-    fn labels(&self, count: usize) -> Result<Vec<i32>> {
-        let labels = if self.labels.is_empty() { (0..count as i32).collect() } else { self.labels.clone() };
-        let mut sorted = labels.clone();
-        sorted.sort_unstable();
-        if labels.len() != count {
-            let given = labels.len();
-            return Err(Error::Value(format!("{given} labels do not fit {count} segments: one for each is needed")));
-        }
-        match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-            Some(pair) => {
-                Err(Error::Value(format!("the label {} is given to two segments: each needs its own", pair[0])))
-            }
-            None => Ok(labels),
         }
     }
 
@@ -216,9 +196,8 @@ impl Aperture {
     pub fn hexagonal(parameters: &HexagonalParameters) -> Result<Self> {
         parameters.check()?;
         let hexagons = parameters.layout().hexagons();
-        let labels = parameters.labels(hexagons.len())?;
         let segments: Vec<Segment> =
-            hexagons.iter().zip(labels).map(|(h, label)| Segment { x_m: h.x_m, y_m: h.y_m, label }).collect();
+            hexagons.iter().zip(0..).map(|(h, label)| Segment { x_m: h.x_m, y_m: h.y_m, label }).collect();
         let disc = disc(parameters.obscuration_diameter_m);
         let spiders = spiders(parameters);
         let mut shapes = Vec::with_capacity(segments.len());

@@ -10,7 +10,7 @@ pub struct Segment {
     pub x_m: f64,
     /// Centre of the segment, m, +y along rows.
     pub y_m: f64,
-    /// Its label in the map of a pupil from a file or an array, or the one that the observatory gives it; else its number.
+    /// Its label in the map of a pupil from a file or an array; else its number.
     pub label: i32,
 }
 

@@ -40,7 +40,7 @@ pub use commands::CommandsScene;
 pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
-pub use lists::NollRange;
+pub use lists::{NollRange, SegmentLabels};
 pub(crate) use own_form::rounded;
 pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;

@@ -1,11 +1,13 @@
 //! Section `[pupil]`: the telescope.
 
+use super::lists::SegmentLabels;
 use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{Aperture, PupilModel};
 use crate::Result;
 use crate::hexagons::HexagonLayout;
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 section! {
@@ -26,9 +28,9 @@ section! {
         removed_rings: usize, between(0.0, 29.0), default(0usize);
         /// Largest distance of a segment's centre from the axis: hexagons farther out are left out.
         outer_radius_m: Option<f64>, above(0.0, 100.0), unset("complete rings");
-        /// Numbers of the observatory, in the order of ours, which rotation_deg does not change: column LABEL of tables, and
-        /// the picture of the pupil.
-        segment_labels: Option<Vec<usize>>, between(0.0, 1e9), unset("our numbers, from 0");
+        /// The observatory's numbers or names of the segments, in the order of ours, which rotation_deg does not change: column LABEL of tables,
+        /// the picture of the pupil, and --segment.
+        segment_labels: Option<SegmentLabels>, ANY, unset("our numbers, from 0");
         /// Whether there is a central segment; the default is true for aperture = "hexagonal" and "round".
         central_segment: bool, ANY, default(false);
         /// Diameter of the circular central obscuration; 0 for none.
@@ -161,16 +163,16 @@ impl PupilScene {
             return Err(reader.error("outer_radius_m", sentence));
         }
         let Some(labels) = &self.segment_labels else { return Ok(()) };
-        let is_twice = (1..labels.len()).find(|&at| labels[..at].contains(&labels[at]));
-        let sentence = match is_twice {
+        let mut seen = HashSet::new();
+        let sentence = match labels.iter().find(|label| !seen.insert(*label)) {
             _ if labels.len() != count => {
                 format!(
-                    "pupil.segment_labels has {} numbers; one for each of the {count} segments is needed",
+                    "pupil.segment_labels has {} labels; one for each of the {count} segments is needed",
                     labels.len()
                 )
             }
-            Some(at) => {
-                format!("pupil.segment_labels has {} twice; a number of its own for each segment is needed", labels[at])
+            Some(twice) => {
+                format!("pupil.segment_labels has {twice} twice; a label of its own for each segment is needed")
             }
             None => return Ok(()),
         };

@@ -176,24 +176,21 @@ impl FromToml for String {
     }
 }
 
-impl FromToml for Vec<f64> {
-    fn accepted(range: &Range) -> String {
-        format!("a list of numbers{}", if range.low.is_finite() { format!(", each{range}") } else { String::new() })
-    }
-    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
-        value.as_array()?.iter().map(|item| f64::from_toml(item, range)).collect()
-    }
-    fn to_toml(&self) -> String {
-        format!("{self:?}")
-    }
+/// Most items of a list: more than the 2791 segments of 30 rings.
+pub(super) const LONGEST_LIST: usize = 4096;
+
+/// The items of a list, each as `item` reads it; `None` for another type, a longer list, or an item that is not accepted.
+pub(super) fn items<T>(value: &Value, item: impl FnMut(&Value) -> Option<T>) -> Option<Vec<T>> {
+    value.as_array().filter(|array| array.len() <= LONGEST_LIST)?.iter().map(item).collect()
 }
 
-impl FromToml for Vec<usize> {
+impl FromToml for Vec<f64> {
     fn accepted(range: &Range) -> String {
-        format!("a list of integers, each{range}")
+        let each = if range.low.is_finite() { format!(", each{range}") } else { String::new() };
+        format!("a list of at most {LONGEST_LIST} numbers{each}")
     }
     fn from_toml(value: &Value, range: &Range) -> Option<Self> {
-        value.as_array()?.iter().map(|item| usize::from_toml(item, range)).collect()
+        items(value, |item| f64::from_toml(item, range))
     }
     fn to_toml(&self) -> String {
         format!("{self:?}")

@@ -68,7 +68,6 @@ impl Telescope {
             gap_m: pupil.segment_gap_m,
             removed_rings: pupil.removed_rings,
             outer_radius_m: pupil.outer_radius_m,
-            labels: pupil.segment_labels.iter().flatten().map(|label| *label as i32).collect(),
             central_segment: pupil.central_segment,
             obscuration_diameter_m: pupil.central_obscuration_m,
             spider_width_m: pupil.spider_width_m,

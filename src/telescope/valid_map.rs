@@ -1,12 +1,9 @@
 //! Maps of the subapertures or actuators in use: text with lines of 0s and 1s, smallest y first, or a FITS image.
 
-use crate::io::{FitsReader, is_fits};
+use crate::io::{FitsReader, is_fits, read_text};
 use crate::modes::marked_cells;
 use crate::{Error, Result};
 use std::path::Path;
-
-/// Bytes of the largest map that is read as text: 256 × 256 entries take at most half of it.
-const LARGEST: u64 = 1 << 20;
 
 /// Reads the marked cells `row·across + column`, ascending. In a FITS image, which may be named in brackets behind the file, cells above 0
 /// are marked; where it has negative values, which AOT's maps have outside, those from 0 on.
@@ -17,14 +14,7 @@ pub fn read(path: &Path, across: usize) -> Result<Vec<usize>> {
     if is_fits(path)? {
         return read_image(path, across);
     }
-    let size = std::fs::metadata(path).map_err(|error| Error::file(path, error))?.len();
-    if size > LARGEST {
-        return Err(Error::file(
-            path,
-            format_args!("{size} bytes are too many for a map; at most {LARGEST} are accepted"),
-        ));
-    }
-    let text = std::fs::read_to_string(path).map_err(|error| Error::file(path, error))?;
+    let text = read_text(path, "it is a map of cells in use")?;
     marked_cells(&text, across).map_err(|error| Error::file(path, error))
 }
 

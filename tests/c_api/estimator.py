@@ -40,6 +40,7 @@ def refusals(scene, estimator, frames, slopes_mas):
     bad = failure(lambda: cophase.Estimator(scene, policy="quick"), ValueError)
     assert "'quick'" in str(bad) and "'realtime'" in str(bad), bad
     failure(lambda: cophase.Estimator(scene, threads=-2), cophase.BadValueError)
+    failure(lambda: cophase.Estimator(scene, threads=100_000), cophase.BadValueError)
     bad = failure(lambda: estimator.estimate(frames, slopes_mas=slopes_mas[:, 1:]), cophase.BadShapeError)
     assert f"{slopes_mas.shape[1] - 1} slopes" in str(bad), bad
     bad = failure(lambda: estimator.estimate(frames, slopes_mas=-slopes_mas), cophase.BadValueError)

@@ -121,6 +121,24 @@ def patiently(call):
             return call()
 
 
+def child_of_a_fork(scene, session, frame):
+    """A child has none of its parent's threads: its calls fail at once, and it ends."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            sentences = [
+                str(failure(call, cophase.BusyError))
+                for call in (lambda: session.fit(frame), lambda: cophase.Model(scene), lambda: cophase.Estimator(scene).estimate(frame))
+            ]
+            os._exit(0 if all("fork" in sentence for sentence in sentences) else 1)
+        except BaseException:
+            os._exit(2)
+    signal.alarm(60)
+    assert os.waitpid(pid, 0)[1] == 0
+    signal.alarm(0)
+    assert session.fit(frame).status == "OK"
+
+
 def threads(model, frame):
     """Two on one session, one of which cancels; or closes it while it works, and the work goes on."""
     session = cophase.Session(model, capacity=MANY)
@@ -196,6 +214,7 @@ def main(path, debug=None):
     one_of_each(scene, model, cophase.Session(model), frame)
     if debug:
         faults(model, frame)
+    child_of_a_fork(scene, cophase.Session(model), frame)
     threads(model, frame)
     ctrl_c(model, frame)
 

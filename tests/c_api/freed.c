@@ -2,6 +2,8 @@
  *
  *   freed SCENE.toml
  *
+ * Handles of another type come first.
+ *
  * No caller may do this, and what watches memory says so. That it does not crash here is a guard and no promise. */
 #include "setting.h"
 
@@ -23,6 +25,16 @@ int main(int argc, char **argv)
     free(scene);
     frames = frames_of(&s, 1);
     CHECK(cophase_sequence_create(s.model, 2, &sequence) == COPHASE_OK);
+
+    /* A handle of another type. */
+    REFUSED(COPHASE_BAD_ARGUMENT, "a handle of a sequence", cophase_session_cancel((cophase_session *)sequence));
+    REFUSED(COPHASE_BAD_ARGUMENT, "a handle of a model", cophase_estimator_cancel((cophase_estimator *)s.model));
+    REFUSED(COPHASE_BAD_ARGUMENT, "a handle of an estimator", cophase_model_get_info((cophase_model *)estimator, &info, sizeof info));
+    REFUSED(COPHASE_BAD_ARGUMENT, "a handle of a session", cophase_sequence_push((cophase_sequence *)s.session, NULL));
+    REFUSED(COPHASE_BAD_ARGUMENT, "a handle of a model", cophase_sequence_push(sequence, (cophase_session *)s.model));
+    cophase_model_destroy((cophase_model *)s.session);
+    cophase_estimate_destroy((cophase_estimate *)s.model);
+    CHECK(cophase_model_get_info(s.model, &info, sizeof info) == COPHASE_OK);
 
     cophase_sequence_destroy(sequence);
     REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_sequence_push(sequence, NULL));

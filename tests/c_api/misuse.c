@@ -137,6 +137,8 @@ static void estimators(const struct setting *s, const char *scene)
     REFUSED(COPHASE_BAD_VALUE, "options->policy is 2", cophase_estimator_create(scene, NULL, &options, &estimator));
     options.policy = COPHASE_POLICY_REALTIME, options.threads = -2;
     REFUSED(COPHASE_BAD_VALUE, "options->threads is -2", cophase_estimator_create(scene, NULL, &options, &estimator));
+    options.threads = 100000;
+    REFUSED(COPHASE_BAD_VALUE, "options->threads is 100000", cophase_estimator_create(scene, NULL, &options, &estimator));
     NULL_IS_REFUSED("estimator", cophase_estimator_cancel(NULL));
     NULL_IS_REFUSED("estimator", cophase_estimator_progress(NULL, NULL, NULL, NULL));
     NULL_IS_REFUSED("estimator", cophase_estimator_estimate(NULL, &frame, NULL, NULL, &estimate));

@@ -219,10 +219,45 @@ def layouts(model, session, frames, c):
         if np.dtype(kind) != np.float64:  # what some platforms take for a long double
             assert "has the type" in str(failure(lambda: session.fit(np.zeros(model.frame_shape, kind)), TypeError))
     assert "masked" in str(failure(lambda: session.fit(np.ma.masked_less(frames, 0)), TypeError))
+    quantities(session, frames, c, same)
     wrong = (frames[0, 0], frames[None], frames[:, 1:], frames[:0], np.concatenate([frames, frames]), frames[0].T[1:])
     for frame in wrong:
         failure(lambda: session.fit(frame), cophase.BadShapeError)
     same(frames, c)
+
+
+class Quantity(np.ndarray):
+    """As a quantity of Astropy: an array with a unit."""
+
+    unit = None
+
+
+class CCDData:
+    """As those of Astropy."""
+
+    def __init__(self, data, unit, mask=None, uncertainty=None):
+        self.data, self.unit, self.mask, self.uncertainty = data, unit, mask, uncertainty
+
+    def __array__(self, dtype=None, copy=None):
+        return np.asarray(self.data, dtype)
+
+
+def quantities(session, frames, c, same):
+    """What NumPy would drop is honoured, where it changes nothing, or refused."""
+
+    def quantity(unit):
+        values = frames.view(Quantity)
+        values.unit = unit
+        return values
+
+    for plain in (quantity("electron"), CCDData(frames, "electron"), CCDData(frames, "electron", frames < -1e9)):
+        same(plain, c)
+    for unit in ("adu", "electron / s", "ct", "mJy"):
+        assert unit in str(failure(lambda: session.fit(quantity(unit)), TypeError))
+        assert unit in str(failure(lambda: session.fit(CCDData(frames, unit)), TypeError))
+    assert "mask" in str(failure(lambda: session.fit(CCDData(frames, "electron", frames > 10)), TypeError))
+    noisy = CCDData(frames, "electron", uncertainty=frames)
+    assert "uncertainty" in str(failure(lambda: session.fit(noisy), TypeError))
 
 
 def ways(model, session, frames, c):

@@ -49,7 +49,7 @@ fn a_run_has_the_same_bits_in_both_files() {
     let folder = tempfile::tempdir().unwrap();
     let [own, aot] = run(&folder, &sky(""));
     assert_same(&Images::read(&own, None).unwrap(), &Images::read(&aot, None).unwrap());
-    let texts = [&own, &aot].map(|path| embedded_scene(path).unwrap().unwrap().text().to_owned());
+    let texts = [&own, &aot].map(|path| embedded_scene(path, |_| false).unwrap().unwrap().text().to_owned());
     assert_eq!(texts[0], texts[1]);
     // Commands are in m; rounded to the 32 bits of ours they are the same.
     let commands = FitsReader::open(&own).unwrap().map(Some("COMMANDS")).unwrap();

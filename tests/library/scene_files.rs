@@ -67,7 +67,7 @@ fn the_scene_in_an_image_file_may_name_files_of_another_machine() {
     file.image("IMAGES", &images.images_e, Pixel::F64, "electron").unwrap();
     file.text("SCENE", elsewhere.text()).unwrap();
     file.finish().unwrap();
-    let embedded = embedded_scene(&path).unwrap().unwrap();
+    let embedded = embedded_scene(&path, |_| false).unwrap().unwrap();
     assert_eq!(embedded.mirror.actuator_file.as_deref(), Some(Path::new("/elsewhere/none.txt")));
     let [found, expected] = [(&embedded, &Images::read(&path, None).unwrap()), (&plain, &images)]
         .map(|(scene, images)| Estimator::new(scene).unwrap().estimate(images).unwrap());

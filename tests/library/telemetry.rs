@@ -3,7 +3,7 @@
 use crate::common::assert_facts;
 use crate::full_phase::{exposures, sky};
 use cophase::ao::Stepper;
-use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Poke, check_orientation};
+use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Orientation, Poke, PokeResult, check_orientation};
 use cophase::scene::{AoKnowledge, Method, Scene};
 use cophase::source::{Camera, Truth};
 use cophase::telescope::Telescope;
@@ -198,30 +198,40 @@ fn poked(scene: &Scene, segment: usize, nm: f64) -> [Images; 2] {
 fn a_poke_shows_the_orientation() {
     let modal = scene(&[&MODAL[..], &[("image.rows", ""), ("image.pixels", "80")]].concat());
     let [before, after] = poked(&modal, 1, 150.0);
-    let check = |scene: &Scene, before: Option<&Images>, after: &Images, poke| {
+    let result = |scene: &Scene, before: Option<&Images>, after: &Images, poke| {
         check_orientation(scene, before, after, poke, &Default::default())
     };
+    let check = |scene: &Scene, before: Option<&Images>, after: &Images, poke| -> Box<Orientation> {
+        let found = result(scene, before, after, poke).unwrap();
+        let PokeResult::Orientation(found) = found else { panic!("{found:?}") };
+        found
+    };
     let poke = Poke::Segment(1, 150.0);
-    let found = check(&modal, Some(&before), &after, poke).unwrap();
+    let found = check(&modal, Some(&before), &after, poke);
+    assert!(found.moved.as_ref().is_some_and(|moved| moved.is_stated && moved.name == "segment 1"), "{found:?}");
     assert_eq!((found.best.flip, found.best.rotation_deg, found.best.sign), ([false; 2], 0.0, 1.0), "{found:?}");
     assert!(found.settings.is_empty() && (found.best.amplitude - 1.0).abs() < 0.1, "{found:?}");
-    let found = check(&modal, Some(&flipped(&before)), &flipped(&after), poke).unwrap();
+    let found = check(&modal, Some(&flipped(&before)), &flipped(&after), poke);
     assert_eq!(found.settings, [("image.flip_x".to_string(), "true".to_string())], "{found:?}");
     let flips = modal.with_override("image.flip_x", "true").unwrap();
-    assert!(check(&flips, Some(&flipped(&before)), &flipped(&after), poke).unwrap().settings.is_empty());
-    let opposite = check(&modal, Some(&before), &after, Poke::Segment(1, -150.0)).unwrap();
+    assert!(check(&flips, Some(&flipped(&before)), &flipped(&after), poke).settings.is_empty());
+    let opposite = check(&modal, Some(&before), &after, Poke::Segment(1, -150.0));
     assert!(opposite.best.sign < 0.0 && !opposite.warnings.is_empty(), "{opposite:?}");
     let reversed = modal.with_override("image.diversity_focus_waves_rms", "-1.0").unwrap();
-    let found = check(&reversed, Some(&before), &after, poke).unwrap();
+    let found = check(&reversed, Some(&before), &after, poke);
     assert_eq!(found.settings, [("image.diversity_focus_waves_rms".to_string(), "1".to_string())], "{found:?}");
     // The central segment is its own mirror image, and so is one on the y axis.
     for (segment, word) in [(0, "does not distinguish"), (2, "symmetry axis")] {
         let [before, after] = poked(&modal, segment, 150.0);
-        let refused = check(&modal, Some(&before), &after, Poke::Segment(segment, 150.0)).unwrap_err().to_string();
-        assert!(refused.contains(word), "{refused}");
+        let open = result(&modal, Some(&before), &after, Poke::Segment(segment, 150.0)).unwrap();
+        assert!(matches!(&open, PokeResult::Undecided(sentence) if sentence.contains(word)), "{open:?}");
     }
-    let refused = check(&modal, Some(&before), &before, poke).unwrap_err().to_string();
-    assert!(refused.contains("do not show the poke of segment 1"), "{refused}");
-    let refused = check(&modal, None, &after, Poke::Segment(7, 100.0)).unwrap_err().to_string();
+    let open = result(&modal, Some(&before), &before, poke).unwrap();
+    let facts = "do not show the poke of segment 1";
+    assert!(matches!(&open, PokeResult::Undecided(sentence) if sentence.contains(facts)), "{open:?}");
+    // Another number than that of the segment that moved: the segment is named, and no orientation is.
+    let other = result(&modal, Some(&before), &after, Poke::Segment(0, 150.0)).unwrap();
+    assert!(matches!(&other, PokeResult::OtherPart(sentence) if sentence.starts_with("segment 1 moved")), "{other:?}");
+    let refused = result(&modal, None, &after, Poke::Segment(7, 100.0)).unwrap_err().to_string();
     assert!(refused.contains("0 to 6 is accepted"), "{refused}");
 }

@@ -12,6 +12,9 @@ pub struct Settings {
     /// Another value for a key of the scene, such as image.peak_snr=50; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = setting)]
     pub settings: Vec<(String, String)>,
+    /// Let the scene in a FITS file name files outside of that file's folder
+    #[arg(long)]
+    pub foreign_files: bool,
 }
 
 fn setting(text: &str) -> Result<(String, String)> {
@@ -36,7 +39,7 @@ impl Settings {
         if let Some(name) = name {
             return self.apply(&scene(name)?, options);
         }
-        let scene = embedded_scene(images)?.ok_or_else(|| {
+        let scene = embedded_scene(images, |key| self.foreign_files || self.replaces(key))?.ok_or_else(|| {
             let reason =
                 "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
             Error::file(images, reason)
@@ -55,6 +58,14 @@ impl Settings {
     fn changed(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let named = self.settings.iter().map(|(key, value)| (key.as_str(), value.as_str()));
         scene.with(&named.chain(options.iter().copied()).collect::<Vec<_>>())
+    }
+
+    /// Whether these settings replace the file `key`, that of a channel, too.
+    fn replaces(&self, key: &str) -> bool {
+        self.keys().any(|set| {
+            let of_channel = set.strip_prefix("image.channel.").and_then(|rest| rest.rsplit_once('.'));
+            set == key || of_channel.is_some_and(|(_, name)| key.strip_prefix("image.") == Some(name))
+        })
     }
 
     /// The keys that are set.

@@ -1,12 +1,25 @@
 //! Signals: Ctrl-C and SIGTERM stop at the next safe place, and a limit on file sizes is an error like a full disk.
 
+use crate::terminal;
+use cophase::io::abandon_files;
+use cophase::machine::start_threads;
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// 128 + SIGINT, as shells count it.
 pub const EXIT_STATUS: u8 = 130;
+
+/// Time from the first signal to the end of the program, where the work has not ended by itself: a set-up, a decomposition, or a file that is read
+/// reaches its next safe place later.
+const GRACE: Duration = Duration::from_millis(1500);
+/// Time for the last line, where a pipe does not take it.
+const LAST_LINE: Duration = Duration::from_millis(200);
+
+/// Whether the verb has ended, and its failure is said.
+static HAS_ENDED: AtomicBool = AtomicBool::new(false);
 
 /// A write beyond `ulimit -f` then fails with a reason, as on a full disk, instead of killing the process and leaving
 /// its temporary file behind.
@@ -21,12 +34,10 @@ pub fn prepare_process() -> Result<()> {
     if is_address_space_limited() {
         share_arenas();
         // Started later, where a thread that does not start is a panic.
-        rayon::ThreadPoolBuilder::new().build_global().map_err(|error| {
-            Error::Value(format!(
-                "the threads do not start within the memory that ulimit -v leaves ({error}): raise it, or set RAYON_NUM_THREADS \
-                 to fewer"
-            ))
-        })?;
+        start_threads()?;
+    } else if std::env::var_os("RAYON_NUM_THREADS").is_some() {
+        // As many as are accepted.
+        start_threads()?;
     }
     Ok(())
 }
@@ -47,6 +58,36 @@ fn share_arenas() {
     }
 }
 
+/// The verb has ended: what follows is not interrupted by a second line.
+pub(crate) fn verb_has_ended() {
+    HAS_ENDED.store(true, Ordering::SeqCst);
+}
+
+/// Ends the program after [`GRACE`]: files that are not complete are removed, and none appears after the line that says so.
+fn end_after_grace() {
+    std::thread::sleep(GRACE);
+    abandon_files();
+    if !HAS_ENDED.load(Ordering::SeqCst) {
+        let seconds = GRACE.as_secs_f64();
+        let line = move || {
+            terminal::complain(&Error::Interrupted(format!(
+                "the work was ended after {seconds} s, in which it reached no place to stop at; files that were not complete are removed"
+            )).to_string());
+        };
+        // Another thread may hold standard error, and wait for its reader.
+        drop(std::thread::Builder::new().spawn(line));
+    }
+    std::thread::sleep(LAST_LINE);
+    end();
+}
+
+/// Ends the process. Handlers of libraries at its exit would wait for threads that still work.
+fn end() -> ! {
+    abandon_files();
+    // SAFETY: ends the process.
+    unsafe { libc::_exit(EXIT_STATUS.into()) }
+}
+
 /// Handler of SIGTERM. The feature `termination` of ctrlc would catch SIGHUP, too, which nohup ignores.
 extern "C" fn raise_interrupt(_: libc::c_int) {
     // SAFETY: a plain call.
@@ -61,13 +102,18 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// Catches Ctrl-C from now on, and SIGTERM, with which job schedulers and mpirun end a job. A second one ends the program at once.
+    /// Catches Ctrl-C from now on, and SIGTERM, with which job schedulers and mpirun end a job. Work that has not stopped within two seconds is
+    /// ended; a second signal ends the program at once.
     pub fn catch() -> Result<Self> {
         let flag: CancelFlag = Arc::new(AtomicBool::new(false));
         let raised = flag.clone();
         let handler = move || {
             if raised.swap(true, Ordering::SeqCst) {
-                std::process::exit(EXIT_STATUS.into());
+                end();
+            }
+            // A thread of its own: this one takes the second signal.
+            if std::thread::Builder::new().spawn(end_after_grace).is_err() {
+                end_after_grace();
             }
         };
         ctrlc::set_handler(handler).map_err(|error| Error::Internal(format!("Ctrl-C cannot be caught: {error}")))?;

@@ -4,6 +4,7 @@ use crate::interrupt::Interrupt;
 use cophase::io::{FitsWriter, file_of};
 use cophase::{Error, Result};
 use std::ffi::OsString;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
@@ -11,6 +12,9 @@ use tempfile::TempDir;
 
 /// A file as the command line names it: its flag or argument, and its path.
 pub type Flagged<'a> = (&'a str, &'a Path);
+
+/// Most bytes of standard input: an image of as many pixels as one may have, in double precision.
+const MOST_INPUT: u64 = 16 << 30;
 
 /// Extensions of a picture.
 const PICTURES: [&str; 2] = ["png", "svg"];
@@ -105,12 +109,13 @@ pub fn copy_standard_input(path: &mut PathBuf, interrupt: &Interrupt) -> Result<
     }
     let failed = |error: std::io::Error| Error::file("-", format_args!("standard input cannot be copied: {error}"));
     let folder = tempfile::Builder::new().prefix("cophase-").tempdir().map_err(failed)?;
+    cophase::io::abandon_with(folder.path());
     // The name appears in messages and in the title of a picture.
     let copy = folder.path().join("standard-input");
     let mut file = std::fs::File::create_new(&copy).map_err(failed)?;
     // A thread of its own: a read that waits for input does not see Ctrl-C.
     let (done, copied) = channel();
-    std::thread::spawn(move || done.send(std::io::copy(&mut std::io::stdin().lock(), &mut file)));
+    std::thread::spawn(move || done.send(std::io::copy(&mut std::io::stdin().lock().take(MOST_INPUT + 1), &mut file)));
     let bytes = loop {
         match copied.recv_timeout(Duration::from_millis(50)) {
             Ok(outcome) => break outcome.map_err(failed)?,
@@ -120,6 +125,12 @@ pub fn copy_standard_input(path: &mut PathBuf, interrupt: &Interrupt) -> Result<
             }
         }
     };
+    if bytes > MOST_INPUT {
+        return Err(Error::file(
+            "-",
+            format_args!("has more than {MOST_INPUT} bytes: at most that many are accepted of standard input"),
+        ));
+    }
     if bytes == 0 {
         return Err(Error::file("-", "standard input is empty: a FITS file is needed"));
     }

@@ -12,6 +12,7 @@ pub fn run(verb: impl FnOnce() -> Result<ExitCode>) -> ExitCode {
     let panic = catch_panics();
     // What a verb holds is dropped on the way here: temporary files go, and files that were there stay.
     let outcome = catch_unwind(AssertUnwindSafe(|| interrupt::prepare_process().and_then(|()| verb())));
+    interrupt::verb_has_ended();
     match outcome.unwrap_or_else(|_| Err(Error::Panic(panic.sentence()))) {
         Ok(status) => status,
         Err(error) => fail(&error),

@@ -128,7 +128,10 @@ fn seconds(text: &str) -> std::result::Result<f64, String> {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if let Some(output) = &arguments.export {
         outputs::check(&[("--export", output)], &[("--state", &arguments.state)])?;
-        let frames = export(&arguments.state, output)?;
+        let (frames, incomplete) = export(&arguments.state, output)?;
+        if let Some(sentence) = incomplete {
+            terminal.warn(&format!("{}: {sentence}", arguments.state.display()));
+        }
         return terminal.show(&format!("{}: {}\n", output.display(), counted(frames, "frame")));
     }
     let interrupt = Interrupt::catch()?;

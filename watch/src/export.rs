@@ -10,12 +10,12 @@ use std::path::Path;
 /// Frames that are read at once.
 const CHUNK: usize = 1000;
 
-/// Writes the night in the file `state` to `output`, by its extension.
+/// Writes the night in the file `state` to `output`, by its extension. Gives the number of frames, and the sentence that some may be missing.
 ///
 /// # Errors
 /// [`Error::File`] for another extension than `.fits`, `.fits.gz`, `.csv` and `.html`, for a file that is no store, and where the output cannot be
 /// written. What was there stays then.
-pub fn export(state: &Path, output: &Path) -> Result<usize> {
+pub fn export(state: &Path, output: &Path) -> Result<(usize, Option<String>)> {
     let name = output.file_name().map(|name| name.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let (is_csv, is_report) = (name.ends_with(".csv"), name.ends_with(".html"));
     if !is_csv && !is_report && !name.ends_with(".fits") && !name.ends_with(".fits.gz") {
@@ -38,7 +38,7 @@ pub fn export(state: &Path, output: &Path) -> Result<usize> {
     } else {
         write_fits(output, &about, &frames, &reader)?
     }
-    Ok(frames.len())
+    Ok((frames.len(), reader.incomplete().map(str::to_owned)))
 }
 
 /// The vectors of a frame, with the word that their columns and HDUs end with.

@@ -6,6 +6,7 @@ use cophase::modal;
 use cophase::modes::Group;
 use cophase::pipeline::{Control, FrameEstimator, Policy};
 use cophase::scene::Scene;
+use cophase::telescope::SegmentPlace;
 use cophase_view::interrupt::Interrupt;
 use serde_json::json;
 
@@ -33,8 +34,12 @@ impl Model {
     }
 
     /// Labels of the segments.
-    pub fn labels(&self) -> Vec<i32> {
-        self.estimator.fitter().model().telescope.pupil.segments.iter().map(|segment| segment.label).collect()
+    pub fn labels(&self) -> Vec<String> {
+        self.places().into_iter().map(|place| place.label).collect()
+    }
+
+    fn places(&self) -> Vec<SegmentPlace> {
+        SegmentPlace::all(&self.scene, &self.estimator.fitter().model().telescope.pupil.segments)
     }
 
     /// What the store keeps of it.
@@ -47,7 +52,9 @@ impl Model {
         });
         let nearest = distances.fold(f64::INFINITY, f64::min);
         let centres: Vec<_> = segments.iter().map(|segment| json!([segment.x_m, segment.y_m])).collect();
-        let labels: Vec<_> = segments.iter().map(|segment| segment.label).collect();
+        let label =
+            |place: SegmentPlace| place.label_number().map_or_else(|| json!(place.label), |number| json!(number));
+        let labels: Vec<_> = self.places().into_iter().map(label).collect();
         let radius_m = if nearest.is_finite() { nearest / 2.0 } else { model.telescope.pupil.grid.width_m() / 2.0 };
         About {
             scene: self.scene.text().to_owned(),

@@ -93,7 +93,11 @@ fn segments(about: &About, frame: Option<&StoredFrame>) -> Vec<SegmentValue> {
     };
     let each = centres.iter().enumerate();
     each.map(|(segment, centre)| SegmentValue {
-        label: geometry["labels"][segment].as_i64().unwrap_or(segment as i64),
+        label: match &geometry["labels"][segment] {
+            Value::String(word) => word.clone(),
+            Value::Number(number) => number.to_string(),
+            _ => segment.to_string(),
+        },
         centre_m: [0, 1].map(|axis| centre[axis].as_f64().unwrap_or(0.0)),
         value_nm: value_nm(segment),
     })
@@ -104,7 +108,7 @@ fn segment_table(segments: &[SegmentValue]) -> String {
     let row = |segment: &SegmentValue| {
         let [nm, sigma_nm] =
             segment.value_nm.map_or(["–".into(), "–".into()], |pair| pair.map(|nm| format!("{nm:.3}")));
-        vec![segment.label.to_string(), nm, sigma_nm]
+        vec![segment.label.clone(), nm, sigma_nm]
     };
     let rows: Vec<Vec<String>> = segments.iter().map(row).collect();
     html::table(&["segment", "tracked piston, nm", "error bar, nm"], 0, &rows, "None.")

@@ -62,6 +62,9 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
         Model::new(settings.scene, settings.policy, interrupt)?
     };
     let store = Store::open(&settings.state, model.about(place.to_string()))?;
+    if let Some(sentence) = store.incomplete() {
+        terminal.warn(&format!("{}: {sentence}", settings.state.display()));
+    }
     let tracking = Tracking::new(model.estimator.fitter().model(), &settings.tracking, store.tracker()?.as_deref())?;
     let mut source = match &place {
         Place::Folder(folder) => {

@@ -87,7 +87,7 @@ impl Tracking {
     ///
     /// # Errors
     /// [`Error::Value`] for an estimate that is not finite.
-    pub fn step(&self, time_s: f64, estimate: &FrameEstimate, labels: &[i32]) -> Result<Step> {
+    pub fn step(&self, time_s: f64, estimate: &FrameEstimate, labels: &[String]) -> Result<Step> {
         let mut tracker = self.tracker.clone();
         let observation = Observation {
             time_s,
@@ -151,11 +151,14 @@ fn application(applied: &Applied, time_s: f64) -> Event {
     Event { time_s, since_s: Some(time_s), ..Event::now("correction", sentence) }
 }
 
-fn event(change: &Change, labels: &[i32]) -> Event {
+fn event(change: &Change, labels: &[String]) -> Event {
     let Change { size_nm, size_error_nm, since_s, detected_s, statistic, threshold, .. } = *change;
     let who = match change.segment {
         Some(segment) => {
-            format!("segment {} moved by {size_nm:+.1} nm", labels.get(segment).copied().unwrap_or(segment as i32))
+            format!(
+                "segment {} moved by {size_nm:+.1} nm",
+                labels.get(segment).cloned().unwrap_or_else(|| segment.to_string())
+            )
         }
         None => format!("the wavefront changed by {size_nm:.1} nm in all"),
     };

@@ -57,6 +57,10 @@ classdef Handle < handle
             if ~is_name
                 return
             elseif isfile(scene)
+                information = dir(scene);
+                if information(1).bytes > 2^20
+                    error('cophase:BAD_FILE', '%s: has %d bytes: at most 1048576 are accepted of a scene', scene, information(1).bytes);
+                end
                 text = fileread(scene);
                 directory = fileparts(scene);
             elseif any(scene == '.' | scene == '/' | scene == filesep())

@@ -20,6 +20,45 @@ _ELEMENTS: dict[np.dtype[Any], int] = {
     np.dtype(np.float64): lib.COPHASE_F64,
 }
 
+#: Units of arrays that may come with one, as Astropy and Pint write them: frames are electrons, unless they are named here.
+_ELECTRONS = ("electron", "e", "electrons")
+_UNITS: dict[str, tuple[str, ...]] = {
+    "slopes_mas": ("mas",),
+    "diversity_nm": ("nm",),
+    "modes": (),
+    "pupil": (),
+    "segments": (),
+    "flat": (),
+    "mask": (),
+    "bad": (),
+}
+
+
+def _plain(name: str, values: ArrayLike, units: tuple[str, ...]) -> NDArray[Any]:
+    """``values`` without what NumPy would drop without a word: refuses a mask, an uncertainty and a unit but one of ``units``.
+
+    Such are the masked arrays of NumPy, ``CCDData`` and ``Quantity`` of Astropy, and the quantities of Pint.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        raise TypeError(f"{name} is a masked array: one without a mask is accepted, with NaN for unknown values")
+    kind = type(values).__name__
+    for attribute, instead in (("mask", "mask="), ("uncertainty", "read_noise_e=")):
+        extra = getattr(values, attribute, None)
+        # A mask that marks nothing says nothing; that of a table of pandas is a method.
+        if extra is not None and not callable(extra) and np.any(extra if attribute == "mask" else True):
+            raise TypeError(
+                f"{name} is a {kind} with a {attribute}: a plain array is accepted, such as its data, and {instead} beside it"
+            )
+    named = (getattr(values, attribute, None) for attribute in ("unit", "units"))
+    unit = next((unit for unit in named if unit is not None and not callable(unit)), None)
+    if unit is not None and str(unit) not in (*units, "", "dimensionless"):
+        accepted = " or ".join(units) if units else "no unit"
+        raise TypeError(
+            f"{name} is a {kind} in {unit}: {accepted} is accepted, or a plain array (of counts with gain_e=)"
+        )
+    # A pint quantity warns where NumPy strips its unit.
+    return np.asarray(values.magnitude if hasattr(values, "magnitude") else values)
+
 
 def images(name: str, values: ArrayLike) -> NDArray[Any]:
     """A map ``[y, x]`` or a stack of maps ``[image, y, x]``, of a type that the library reads.
@@ -27,9 +66,7 @@ def images(name: str, values: ArrayLike) -> NDArray[Any]:
     This is the caller's own memory for float32, float64, uint16, int32, uint8 and bool. Other types are copied to the
     first of these that NumPy calls safe (big-endian types of FITS files, int16, int64), and refused if there is none.
     """
-    if isinstance(values, np.ma.MaskedArray):
-        raise TypeError(f"{name} is a masked array: one without a mask is accepted, with NaN for unknown values")
-    array = np.asarray(values)
+    array = _plain(name, values, _UNITS.get(name, _ELECTRONS))
     if array.ndim not in (2, 3):
         raise BadShapeError(f"{name} has the shape {array.shape}: [y, x] or [image, y, x] is accepted")
     if array.dtype == np.bool_:
@@ -80,7 +117,7 @@ def calibration(
 
 def numbers(name: str, values: ArrayLike, *shape: int) -> NDArray[np.float64]:
     """Coefficients of the given shape in C order: the caller's own memory if it is that already, else a copy."""
-    array = np.asarray(values)
+    array = _plain(name, values, ("nm",))
     if not np.can_cast(array.dtype, np.float64, "safe"):
         raise TypeError(
             f"{name} has the type {array.dtype}: float64 and types that NumPy casts to it safely are accepted"

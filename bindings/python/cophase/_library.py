@@ -107,6 +107,10 @@ def preset(name: str) -> str:
     return words(result("const char *", lib.cophase_scene_preset, text("name", name)))
 
 
+#: Longest scene that is read, in characters: as many bytes as the program reads of a file.
+_LONGEST_SCENE = 1 << 20
+
+
 def read_scene(
     scene: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None
 ) -> tuple[str, str | os.PathLike[str] | None]:
@@ -122,12 +126,14 @@ def read_scene(
     if os.path.exists(name):
         try:
             with open(name, encoding="utf-8") as file:
-                # Line by line: a large file that is no text is refused at its beginning.
-                found = "".join(file)
+                # A device may have no end. A pipe is read as far as a scene can be long.
+                found = file.read(_LONGEST_SCENE + 1)
         except OSError as error:
             raise BadFileError(f"{name}: {error.strerror}, where the file of a scene is needed") from None
         except UnicodeDecodeError:
             raise BadFileError(f"{name}: is not a text in UTF-8, where the file of a scene is needed") from None
+        if len(found) > _LONGEST_SCENE:
+            raise BadFileError(f"{name}: has more than {_LONGEST_SCENE} characters, where the file of a scene is needed")
         return found, os.path.dirname(name) if directory is None else directory
     if not isinstance(scene, str) or "." in name or os.sep in name:
         accepted = "a file, the name of a preset such as keck-artificial, or the text of a scene is accepted"

@@ -92,7 +92,7 @@ class Estimator(Handle):
         larger model where the scene does not explain the images (``estimate.model``).
         ``"realtime"``: one fit of the scene's modes, no retries, as a :class:`cophase.Session` does.
     threads : int, optional
-        Number of threads; one per processor by default. Results do not depend on it.
+        Number of threads, at most 64 or four for each processor; one per processor by default. Results do not depend on it.
     directory : path, optional
         Directory of the files that the scene names; that of the scene's file, or else the working directory, by default.
 

@@ -23,7 +23,12 @@ Each line of the table has the scene's value, what was found with its error bar,
 fault is the likeliest cause; set its keys (--write) and check again.
 
 One image does not determine flips and the sign of the defocus where the pupil equals its mirror images; a known poke of a segment \
-or an actuator does (--before, --segment, --actuator, --poke-nm; numbers as in 'cophase check-orientation').
+or an actuator does: give the images before and after it, its place and its size (--before, --segment, --actuator, --poke-nm). Move one \
+away from the pupil's symmetry axes. Both are estimated, and the difference of their maps is compared with the expected one in every \
+orientation that leaves the pupil as it is. Segments have the labels of pupil.segment_labels or of the pupil's file, else the numbers of this \
+program, from 0 ('cophase scene SCENE --plot pupil.png' draws them); actuators are counted from 0 as in the table ACTUATORS of \
+'estimate --commands'. Without --before the poke must be larger than the errors of the wavefront. A segment that moved in the scene's own \
+orientation is named before any other orientation is, and nothing is proposed that raises χ².
 
 --json prints: cause (name of the first fault, or null), settings (keys to set for it), reduced_chi2 (with the scene), \
 reduced_chi2_corrected (with these settings), findings (list of quantity, verdict, scene, found, sigma, gain, settings, \
@@ -45,9 +50,9 @@ pub struct Arguments {
     /// FITS file with images without the poke
     #[arg(long, value_name = "FILE", requires = "poke")]
     before: Option<PathBuf>,
-    /// Segment that was moved, from 0 on
-    #[arg(long, value_name = "N", requires = "poke_nm")]
-    segment: Option<usize>,
+    /// Segment that was moved: its label, else its number from 0 on
+    #[arg(long, value_name = "LABEL", requires = "poke_nm")]
+    segment: Option<String>,
     /// Actuator that was moved, from 0 on
     #[arg(long, value_name = "N", requires = "poke_nm")]
     actuator: Option<usize>,
@@ -97,8 +102,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let images = Images::read(&arguments.images, arguments.mask.as_deref())?;
     let before = arguments.before.as_ref().map(|path| Images::read(path, None)).transpose()?;
     let poke_nm = arguments.poke_nm.unwrap_or_default();
-    let poke = match (arguments.segment, arguments.actuator) {
-        (Some(index), _) => Some(Poke::Segment(index, poke_nm)),
+    let poke = match (&arguments.segment, arguments.actuator) {
+        (Some(label), _) => Some(Poke::of_segment(&scene, label, poke_nm)?),
         (None, Some(index)) => Some(Poke::Actuator(index, poke_nm)),
         (None, None) => None,
     };

@@ -49,6 +49,9 @@ pub struct Arguments {
     /// FITS map of the whole true wavefront (OPD), in the convention of POPPY and STPSF
     #[arg(long, value_name = "MAP")]
     truth_opd: Option<PathBuf>,
+    /// Let the scene in the estimate name files outside of its folder
+    #[arg(long)]
+    foreign_files: bool,
     /// Print the residuals as JSON
     #[arg(long)]
     json: bool,
@@ -68,7 +71,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let path = &arguments.estimate;
     let mut file = FitsReader::open(path)?;
     let maps = [file.map(Some("PHASING"))?, file.map(Some("NCPA"))?];
-    let scene = cophase::pipeline::embedded_scene(path)?
+    let scene = cophase::pipeline::embedded_scene(path, |_| arguments.foreign_files)?
         .ok_or_else(|| Error::file(path, "holds no scene (table SCENE), which says how the pupil is weighted"))?;
     let telescope = Telescope::new(&scene)?;
     let [phasing_nm, ncpa_nm] = &maps;

@@ -4,7 +4,6 @@
 //! (stopped by Ctrl-C or SIGTERM, as shells count it).
 
 mod check;
-mod check_orientation;
 mod compare;
 mod completions;
 mod demo;
@@ -68,7 +67,6 @@ enum Verb {
     Plan(plan::Arguments),
     Compare(compare::Arguments),
     Check(check::Arguments),
-    CheckOrientation(check_orientation::Arguments),
     Devices(devices::Arguments),
     Demo(demo::Arguments),
     Watch(Box<watch::Arguments>),
@@ -92,7 +90,6 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Check(arguments) => return check::run(&arguments, &terminal),
-        Verb::CheckOrientation(arguments) => check_orientation::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
         Verb::Watch(arguments) => watch::run(&arguments, &terminal),

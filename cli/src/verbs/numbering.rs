@@ -36,7 +36,7 @@ pub fn picture(scene: &Scene, terminal: &Terminal) -> Result<NumberingPicture> {
             _ => format!("{segments}, 0 to {}", count - 1),
         },
         numbers: match &scene.pupil.segment_labels {
-            Some(labels) => labels.iter().map(usize::to_string).collect(),
+            Some(labels) => labels.iter().map(str::to_owned).collect(),
             None => (0..count).map(|number| number.to_string()).collect(),
         },
         numbers_m: number_places(scene, &pupil),
@@ -140,7 +140,7 @@ fn innermost_place(pupil: &Pupil, number: usize) -> (f64, f64) {
 fn notes(scene: &Scene, has_lattice: bool) -> Vec<String> {
     let counted = match is_from_file(scene) {
         _ if scene.pupil.segment_labels.is_some() => {
-            "Segments have the numbers of pupil.segment_labels, which are the column LABEL of the table SEGMENTS."
+            "Segments have the labels of pupil.segment_labels, which are the column LABEL of the table SEGMENTS."
         }
         true => {
             "Segments are counted from 0, by the ascending labels of the pupil's file (column LABEL of the table SEGMENTS)."

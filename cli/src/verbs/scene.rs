@@ -19,7 +19,7 @@ const EXAMPLES: &str = "Examples:
   cophase scene --from aot.fits > scene.toml    one from a file of AOT
 
 The picture shows the pupil as the maps of an estimate do: x to the right, y up, in metres. The numbers are those of the \
-table SEGMENTS, of modes such as segment-07-piston and of 'check-orientation --segment'; actuators and subapertures are \
+table SEGMENTS, of modes such as segment-07-piston and of 'check --segment'; actuators and subapertures are \
 those of the AO loop.";
 
 /// Print a documented scene or draw its numbering instead, or list the scenes that come with the program

@@ -49,7 +49,7 @@ diversity_focus_waves_rms = -1.0
     let scene = std::fs::read_to_string(desk.path("scene.toml")).unwrap();
     std::fs::write(desk.path("pair.toml"), scene.replace("[aberrations]", channels)).unwrap();
     desk.succeeds(&["image", "pair.toml", "-o", "images.fits"]);
-    let text = cophase::pipeline::embedded_scene(&desk.path("images.fits")).unwrap().unwrap();
+    let text = cophase::pipeline::embedded_scene(&desk.path("images.fits"), |_| false).unwrap().unwrap();
     let files: Vec<bool> = text.channels().iter().map(|channel| channel.scene.image.filter_file.is_some()).collect();
     assert_eq!(files, [false, true]);
     let found = desk.json(&["estimate", "images.fits", "-o", "est.fits", "--json"]);

@@ -18,12 +18,20 @@ impl Desk {
     /// Starts an estimate of `images` whose scene comes through a pipe, and gives the open pipe: the program catches signals before it
     /// reads the scene.
     fn waiting_for_its_scene(&self, images: &str, options: &[&str]) -> (Child, File) {
+        self.waiting(images, options, "")
+    }
+
+    /// As [`Desk::waiting_for_its_scene`], with `threads` as the number of threads in the environment, where it is not empty.
+    fn waiting(&self, images: &str, options: &[&str], threads: &str) -> (Child, File) {
         let pipe = self.path("pipe.toml");
         let name = std::ffi::CString::new(pipe.to_str().unwrap()).unwrap();
         // SAFETY: a plain system call on a NUL-terminated name.
         assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
         let fixed = ["estimate", images, "-o", "est.fits", "--scene", "pipe.toml"];
         let mut command = self.command(&[&fixed, options].concat());
+        if !threads.is_empty() {
+            command.env("RAYON_NUM_THREADS", threads);
+        }
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         // Opens once the program has it open for reading.
         let scene = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
@@ -59,6 +67,23 @@ fn ctrl_c_stops_and_leaves_nothing() {
     scene.write_all(SMALL.as_bytes()).unwrap();
     drop(scene);
     was_stopped(child);
+    assert_eq!(desk.files(), before);
+}
+
+/// A read that looks at no flag: the scene is never written. Of a hundred thousand threads that are asked for a few are started.
+#[test]
+fn sigterm_ends_work_that_reaches_no_safe_place() {
+    let desk = Desk::with_images(&[]);
+    let before = desk.files();
+    let (child, scene) = desk.waiting("images.fits", &[], "100000");
+    let threads = std::fs::read_dir(format!("/proc/{}/task", child.id())).map_or(0, Iterator::count);
+    // Those that are accepted, and those that wait for signals.
+    assert!(threads <= cophase::machine::most_threads() + 8, "{threads} threads");
+    // SAFETY: a plain system call; the child is not yet waited for, so the number is its own.
+    assert_eq!(unsafe { libc::kill(child.id() as i32, libc::SIGTERM) }, 0);
+    let err = was_stopped(child);
+    assert!(err.contains("1.5 s") && err.contains("not complete"), "{err}");
+    drop(scene);
     assert_eq!(desk.files(), before);
 }
 

@@ -12,6 +12,7 @@ mod drivers;
 #[cfg(debug_assertions)]
 mod faults;
 mod filter;
+mod foreign;
 mod frames;
 mod headers;
 mod interrupt;

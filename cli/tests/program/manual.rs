@@ -66,6 +66,6 @@ fn completions_name_verbs_and_options() {
     let desk = Desk::with_scene();
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = desk.succeeds(&["completions", shell]).out;
-        assert!(script.contains("check-orientation") && script.contains("budget-nm"), "{shell}: {script}");
+        assert!(script.contains("poke-nm") && script.contains("budget-nm"), "{shell}: {script}");
     }
 }

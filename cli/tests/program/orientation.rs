@@ -1,6 +1,6 @@
 //! Telemetry that does not belong to the images, and the orientation of images from a poke.
 
-use crate::{Desk, SMALL};
+use crate::{Desk, SMALL, text_column};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth};
@@ -126,36 +126,41 @@ fn write_actuator_poke(
     actuator
 }
 
+/// The words after `name` of a check with a poke.
+fn check_of(name: &str, before: Option<&str>, poke: [&str; 2], nm: &str) -> Vec<String> {
+    let mut words = vec!["check", name, "--scene", "scene.toml", "--poke-nm", nm, poke[0], poke[1]];
+    words.extend(before.into_iter().flat_map(|before| ["--before", before]));
+    words.into_iter().map(str::to_owned).collect()
+}
+
+/// The explanation of the orientation in the answer `json`, and its verdict.
+fn orientation(json: &serde_json::Value) -> (&str, &str) {
+    let findings = json["findings"].as_array().unwrap();
+    let found =
+        findings.iter().find(|finding| finding["quantity"] == "orientation").unwrap_or_else(|| panic!("{json}"));
+    (found["verdict"].as_str().unwrap(), found["explanation"].as_str().unwrap())
+}
+
+impl Desk {
+    /// The answer of a check with further options.
+    fn answer(&self, check: &[String], more: &[&str]) -> serde_json::Value {
+        self.json(&check.iter().map(String::as_str).chain(more.iter().copied()).chain(["--json"]).collect::<Vec<_>>())
+    }
+}
+
 #[test]
 #[ignore = "merge: 26 s"]
 fn the_keys_that_a_poke_gives_undo_a_quarter_turn() {
     let desk = Desk::with_scene();
     write_poke(&desk, 150.0, |n, y, x| (x, (n - y) % n));
-    let check = [
-        "check-orientation",
-        "new.fits",
-        "--before",
-        "old.fits",
-        "--poke-nm",
-        "150",
-        "--scene",
-        "scene.toml",
-        "--segment",
-        "1",
-    ];
-    let json = desk.json(&[&check[..], &["--json"]].concat());
-    let settings = json["settings"].as_object().unwrap();
-    assert!(settings.contains_key("pupil.rotation_deg"), "{json}");
-    let set = settings.iter().flat_map(|(key, value)| ["--set".into(), format!("{key}={}", value.as_str().unwrap())]);
-    let set: Vec<String> = set.collect();
-    let again: Vec<&str> = check.iter().copied().chain(set.iter().map(String::as_str)).collect();
-    let done = desk.succeeds(&again);
-    assert!(done.out.contains("has the orientation"), "{}", done.out);
+    let check = check_of("new.fits", Some("old.fits"), ["--segment", "1"], "150");
+    let json = desk.answer(&check, &["--write", "turned.toml"]);
+    assert!(json["settings"].as_object().unwrap().contains_key("pupil.rotation_deg"), "{json}");
+    let right: Vec<String> = check.iter().map(|word| word.replace("scene.toml", "turned.toml")).collect();
+    assert_eq!(orientation(&desk.answer(&right, &[])).0, "agrees");
     // One image suffices where the poke is larger than what else is there.
     write_poke(&desk, 400.0, |n, y, x| (y, (n - x) % n));
-    let alone =
-        ["check-orientation", "new.fits", "--poke-nm", "400", "--scene", "scene.toml", "--segment", "1", "--json"];
-    let json = desk.json(&alone);
+    let json = desk.answer(&check_of("new.fits", None, ["--segment", "1"], "400"), &[]);
     assert_eq!(json["settings"], serde_json::json!({"image.flip_x": "true"}), "{json}");
 }
 
@@ -164,31 +169,56 @@ fn the_keys_that_a_poke_gives_undo_a_quarter_turn() {
 fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
     let desk = Desk::with_scene();
     write_poke(&desk, 150.0, |n, y, x| (y, (n - x) % n));
-    let check = ["check-orientation", "new.fits", "--before", "old.fits", "--poke-nm", "150", "--scene", "scene.toml"];
-    let json = desk.json(&[&check[..], &["--segment", "1", "--json"]].concat());
-    assert_eq!((&json["flip_x"], &json["flip_y"], &json["sign"]), (&true.into(), &false.into(), &1.0.into()), "{json}");
-    assert_eq!(json["settings"], serde_json::json!({"image.flip_x": "true"}), "{json}");
-    let done = desk.succeeds(&[&check[..], &["--segment", "1"]].concat());
-    assert!(done.out.contains("a flip left to right") && done.out.contains("set image.flip_x = true"), "{}", done.out);
-    let set = ["--segment", "1", "--set", "image.flip_x=true"];
-    let done = desk.succeeds(&[&check[..], &set].concat());
-    assert!(done.out.contains("has the orientation"), "{}", done.out);
-    // The check of scene and images finds the same.
-    let whole =
-        ["check", "new.fits", "--before", "old.fits", "--poke-nm", "150", "--scene", "scene.toml", "--segment", "1"];
-    let json = desk.json(&[&whole[..], &["--json"]].concat());
-    assert_eq!(
-        (&json["cause"], &json["settings"]),
-        (&"orientation".into(), &serde_json::json!({"image.flip_x": "true"})),
-        "{json}"
-    );
-    desk.refuses(&[&check[..], &["--segment", "0"]].concat(), &["do not show", "poke of segment 0"]);
-    desk.refuses(&[&check[..], &["--segment", "7"]].concat(), &["segment 7", "0 to 6"]);
-    assert_eq!(desk.run(&check).status, 2);
+    let check = check_of("new.fits", Some("old.fits"), ["--segment", "1"], "150");
+    let json = desk.answer(&check, &[]);
+    let set = serde_json::json!({"image.flip_x": "true"});
+    assert_eq!((&json["cause"], &json["settings"]), (&"orientation".into(), &set), "{json}");
+    // In the scene's own orientation it is the mirror image of segment 1 that moved, which is named first.
+    let (_, sentence) = orientation(&json);
+    let places =
+        ["in the scene's own orientation segment 3 moved", "a flip left to right"].map(|fact| sentence.find(fact));
+    assert!(places[0].is_some() && places[0] < places[1], "{sentence}");
+    assert_eq!(orientation(&desk.answer(&check, &["--set", "image.flip_x=true"])).0, "agrees");
+    let absent = check_of("new.fits", Some("old.fits"), ["--segment", "7"], "150");
+    desk.refuses(&absent.iter().map(String::as_str).collect::<Vec<_>>(), &["segment 7", "0 to 6"]);
+    assert_eq!(desk.run(&["check", "new.fits", "--scene", "scene.toml", "--poke-nm", "150"]).status, 2);
     // An image alone says that it does not determine its orientation, once.
     let done = desk.succeeds(&["estimate", "new.fits", "--scene", "scene.toml", "-o", "est.fits"]);
     assert_eq!(done.out.matches("The orientation cannot be verified").count(), 1, "{}", done.out);
     assert!(!done.err.contains("orientation"), "{}", done.err);
+}
+
+/// The segment that moved is named, and neither a flip nor a rotation with which the images are explained worse.
+#[test]
+fn a_wrong_segment_number_is_no_orientation() {
+    let desk = Desk::with_scene();
+    write_poke(&desk, 150.0, |_, y, x| (y, x));
+    let check = |label: &str| check_of("new.fits", Some("old.fits"), ["--segment", label], "150");
+    // The others of its ring are mirror images of it: then the answer names both.
+    let json = desk.answer(&check("0"), &["--write", "corrected.toml"]);
+    assert_eq!((&json["cause"], &json["settings"]), (&"poke".into(), &serde_json::json!({})), "{json}");
+    assert!(json["findings"][0]["explanation"].as_str().unwrap().starts_with("segment 1 moved"), "{json}");
+    assert!(!desk.path("corrected.toml").exists());
+    let strict: Vec<String> = check("0").into_iter().chain(["--strict".into()]).collect();
+    assert_eq!(desk.run(&strict.iter().map(String::as_str).collect::<Vec<_>>()).status, 3);
+}
+
+#[test]
+fn segments_are_addressed_by_their_labels() {
+    let desk = Desk::with_scene();
+    write_poke(&desk, 150.0, |_, y, x| (y, x));
+    let labels = "pupil.segment_labels=[\"C1\",\"A1\",\"A2\",\"A3\",\"A4\",\"A5\",7]";
+    let of = |label: &str| check_of("new.fits", Some("old.fits"), ["--segment", label], "150");
+    assert_eq!(orientation(&desk.answer(&of("A1"), &["--set", labels])).0, "agrees");
+    let json = desk.answer(&of("C1"), &["--set", labels]);
+    assert!(json["findings"][0]["explanation"].as_str().unwrap().starts_with("segment A1 moved"), "{json}");
+    let absent: Vec<String> = of("1").into_iter().chain(["--set".into(), labels.into()]).collect();
+    desk.refuses(&absent.iter().map(String::as_str).collect::<Vec<_>>(), &["no segment 1", "C1, A1, A2"]);
+    // The tables of an estimate have them, and pistons are compared by them.
+    let estimate = ["estimate", "new.fits", "--scene", "scene.toml", "-o", "est.fits", "--set", labels];
+    desk.succeeds(&estimate);
+    assert_eq!(text_column(&desk.path("est.fits"), "SEGMENTS", "LABEL")[1], "A1");
+    desk.json(&["compare", "est.fits", "--truth-pistons", "est.fits", "--json"]);
 }
 
 #[test]
@@ -200,16 +230,15 @@ fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
     let modes = "[estimate]\nmodel = \"scene\"\n";
     std::fs::write(desk.path("scene.toml"), SMALL.to_string() + mirror + modes).unwrap();
     let actuator = write_actuator_poke(&desk, [1.1, 1.1], 120.0, |n, y, x| ((n - y) % n, x)).to_string();
-    let check = ["check-orientation", "new.fits", "--before", "old.fits", "--poke-nm", "120", "--scene", "scene.toml"];
-    let json = desk.json(&[&check[..], &["--actuator", &actuator, "--json"]].concat());
-    assert_eq!((&json["flip_x"], &json["flip_y"], &json["sign"]), (&false.into(), &true.into(), &1.0.into()), "{json}");
-    assert_eq!(json["settings"], serde_json::json!({"image.flip_y": "true"}), "{json}");
-    let set = ["--actuator", &actuator, "--set", "image.flip_y=true"];
-    let done = desk.succeeds(&[&check[..], &set].concat());
-    assert!(done.out.contains("has the orientation"), "{}", done.out);
-    desk.refuses(&[&check[..], &["--actuator", "99"]].concat(), &["actuator 99", "0 to "]);
+    let check = |actuator: &str| check_of("new.fits", Some("old.fits"), ["--actuator", actuator], "120");
+    let json = desk.answer(&check(&actuator), &[]);
+    assert_eq!(orientation(&json).0, "fault", "{json}");
+    assert!(orientation(&json).1.contains("a flip up to down"), "{json}");
+    assert_eq!(orientation(&desk.answer(&check(&actuator), &["--set", "image.flip_y=true"])).0, "agrees");
+    desk.refuses(&check("99").iter().map(String::as_str).collect::<Vec<_>>(), &["actuator 99", "0 to "]);
     // A poke of nothing else than one of the two.
-    assert_eq!(desk.run(&[&check[..], &["--actuator", &actuator, "--segment", "1"]].concat()).status, 2);
+    let both: Vec<String> = check(&actuator).into_iter().chain(["--segment".into(), "1".into()]).collect();
+    assert_eq!(desk.run(&both.iter().map(String::as_str).collect::<Vec<_>>()).status, 2);
 }
 
 /// With three vanes the pupil equals its mirror image left to right, and not that up to down: an image flipped up to down is that of the opposite defocus.

@@ -324,7 +324,7 @@ fn quiet_is_quiet() {
 #[test]
 fn every_verb_helps_with_an_example() {
     let desk = Desk::with_scene();
-    for verb in ["scene", "image", "reduce", "estimate", "compare", "check", "check-orientation", "devices", "demo"] {
+    for verb in ["scene", "image", "reduce", "estimate", "compare", "check", "devices", "demo"] {
         let help = desk.succeeds(&[verb, "--help"]).out;
         assert!(help.contains("Example") && help.contains(&format!("  cophase {verb}")), "{verb}: {help}");
         assert!(help.contains("--quiet"), "{verb}");

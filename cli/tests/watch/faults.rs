@@ -33,6 +33,30 @@ fn killed_watch_loses_and_repeats_no_frame() {
     assert_eq!(trackers(&desk.path("night.db")), trackers(&desk.path("killed.db")));
 }
 
+/// The log of a killed watch belongs to its store, which says so where it is copied without it.
+#[test]
+fn store_of_a_killed_watch_names_its_log() {
+    let desk = desk_with_frames(2);
+    put(&desk, 0);
+    let mut watch = Running::start(&desk, &[]);
+    wait_for_rows(&desk, 1);
+    watch.kill();
+    for name in ["alone.db", "whole.db"] {
+        std::fs::copy(desk.path("night.db"), desk.path(name)).unwrap();
+    }
+    std::fs::copy(desk.path("night.db-wal"), desk.path("whole.db-wal")).unwrap();
+    let export = |state: &str| desk.succeeds(&["watch", "--state", state, "--export", "night.csv"]);
+    let alone = export("alone.db");
+    assert!(alone.err.contains("alone.db") && alone.err.contains("night.db-wal"), "{}", alone.err);
+    assert_eq!(export("whole.db").err, "");
+    // A watch that ends leaves one file, which needs no other.
+    put(&desk, 1);
+    once(&desk);
+    assert!(!desk.path("night.db-wal").exists());
+    std::fs::copy(desk.path("night.db"), desk.path("ended.db")).unwrap();
+    assert_eq!(export("ended.db").err, "");
+}
+
 /// State of the tracker.
 fn trackers(state: &Path) -> Vec<Vec<u8>> {
     let connection = rusqlite::Connection::open(state).unwrap();

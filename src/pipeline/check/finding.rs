@@ -57,6 +57,8 @@ pub enum CheckedQuantity {
     Sampling,
     /// Another value in the file.
     Header,
+    /// The segment or actuator that was poked.
+    Poke,
     /// A residual that none of the others explains.
     Unexplained,
 }
@@ -86,6 +88,7 @@ impl CheckedQuantity {
             Self::Background => "background",
             Self::Sampling => "sampling",
             Self::Header => "header",
+            Self::Poke => "poke",
             Self::Unexplained => "unexplained residual",
         }
     }

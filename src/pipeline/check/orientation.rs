@@ -2,13 +2,13 @@
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
 use super::turns::{self, Turn};
-use super::{Work, chi2_of, first_used, pixels_of};
+use super::{Work, chi2_of, first_used, is_raised, pixels_of, raised};
 use crate::Result;
 use crate::modal::ModelCache;
 use crate::pipeline::images::Images;
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::orientation::Poke;
-use crate::scene::Scene;
+use crate::scene::{Method, Scene};
 
 /// Largest part of χ² beyond 1 that the right orientation leaves.
 const LEFT_BY_TURN: f64 = 0.1;
@@ -18,10 +18,10 @@ const CONTRADICTED: f64 = 100.0;
 
 impl Work<'_> {
     /// The findings, and `given` in the orientation with which the rest is checked; `fitted` becomes the fit of it. A poke comes with the
-    /// images before it and behind it.
+    /// images before it and behind it, and is estimated by the method of the scene `own`.
     pub(super) fn orientation(
         &self,
-        given: &Scene,
+        (own, given): (&Scene, &Scene),
         cache: &ModelCache,
         fitted: &mut Fitted,
         poke: Option<(Option<&Images>, &Images, Poke)>,
@@ -33,10 +33,21 @@ impl Work<'_> {
         };
         let Some((before, after, poke)) = poke else { return Ok((scene, findings)) };
         let is_ambiguous = shown.is_some_and(|turn| turn.is_also_sign);
-        let found = turns::of_poke(&scene, (before, after), poke, is_ambiguous, self.control)?;
+        // A modal estimate behind adaptive optics shows no poke.
+        let estimated = match own.estimate.method {
+            Method::FullPhase => with(own, &turns::differences(given, &scene))?,
+            _ => scene.clone(),
+        };
+        let found = turns::of_poke(&estimated, (before, after), poke, is_ambiguous, self.control)?;
         let Some(settings) = &found.settings else {
             // What the shape leaves open stays so; why the poke does not decide is said in its place.
             findings.retain(|known| known.verdict == Verdict::Fault);
+            if found.is_other_part {
+                let fault = Finding::new(CheckedQuantity::Poke, Verdict::Fault, found.explanation.as_str());
+                // Before all others: what was stated of the poke is no property of scene or images.
+                findings.push(Finding { gain: f64::MAX, ..fault });
+                return Ok((scene, findings));
+            }
             for quantity in [CheckedQuantity::Orientation, CheckedQuantity::DefocusSign] {
                 if findings.iter().all(|known| known.quantity != quantity) {
                     findings.push(Finding::open(quantity, found.explanation.as_str()));
@@ -45,8 +56,16 @@ impl Work<'_> {
             return Ok((scene, findings));
         };
         if !settings.is_empty() {
-            scene = with(&scene, settings)?;
-            *fitted = self.fit(&scene, &cache.for_scene(given, &scene))?;
+            let other = with(&scene, settings)?;
+            let again = self.fit(&other, &cache.for_scene(given, &other))?;
+            let [before, after] = [&*fitted, &again].map(chi2_of);
+            if is_raised(after, before) {
+                let sentence = format!("{}; {}", found.explanation, raised(settings, after, before));
+                findings.retain(|known| known.verdict == Verdict::Fault);
+                findings.push(Finding::open(CheckedQuantity::Orientation, sentence));
+                return Ok((scene, findings));
+            }
+            (scene, *fitted) = (other, again);
         }
         let gain = findings.iter().map(|known| known.gain).fold(found.gain, f64::max);
         let settings = turns::differences(given, &scene);

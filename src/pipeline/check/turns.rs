@@ -6,12 +6,12 @@
 //! little determined, and its wrong sign asks for a wavefront of the same size, so that no prior helps.
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
+use crate::Result;
 use crate::pipeline::control::Control;
 use crate::pipeline::images::Images;
-use crate::pipeline::orientation::{Poke, check_orientation};
+use crate::pipeline::orientation::{Poke, PokeResult, check_orientation};
 use crate::scene::{Aperture, Scene};
 use crate::telescope::Telescope;
-use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 
 /// Part of the pupil's light in which two pupils differ that images distinguish.
@@ -186,6 +186,8 @@ fn name(quarter: bool, flip: [bool; 2]) -> String {
 pub(super) struct PokeAnswer {
     /// Keys to set, with their values; `None` where the poke does not decide.
     pub(super) settings: Option<Vec<(String, String)>>,
+    /// Whether another segment or actuator moved than was stated.
+    pub(super) is_other_part: bool,
     /// Decrease of Schwarz's criterion by them.
     pub(super) gain: f64,
     pub(super) explanation: String,
@@ -200,10 +202,11 @@ pub(super) fn of_poke(
     is_ambiguous: bool,
     control: &Control,
 ) -> Result<PokeAnswer> {
-    let mut found = match check_orientation(scene, before, after, poke, control) {
-        Ok(found) => found,
-        Err(Error::Value(explanation)) => return Ok(PokeAnswer { settings: None, gain: 0.0, explanation }),
-        Err(error) => return Err(error),
+    let without = |is_other_part, explanation| Ok(PokeAnswer { settings: None, is_other_part, gain: 0.0, explanation });
+    let mut found = match check_orientation(scene, before, after, poke, control)? {
+        PokeResult::Orientation(found) => found,
+        PokeResult::OtherPart(explanation) => return without(true, explanation),
+        PokeResult::Undecided(explanation) => return without(false, explanation),
     };
     // Of any form of the defocus.
     let is_sign = |settings: &[(String, String)]| settings.iter().any(|(key, _)| key.starts_with("image.diversity_"));
@@ -227,10 +230,18 @@ pub(super) fn of_poke(
         best.correlation.abs(),
         runner_up.correlation
     );
+    // A mirror image of a mirror's mirror image is the same: only who moved the segment knows which one it was.
+    if let Some(other) = found.other_part().filter(|_| !found.settings.is_empty()) {
+        explanation = format!(
+            "in the scene's own orientation {} moved (correlation {:.3}); if it was the one that was stated, {explanation}",
+            other.name,
+            other.correlation.abs()
+        );
+    }
     for warning in &found.warnings {
         explanation += &format!("; {warning}");
     }
     // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was fitted.
     let gain = 2.0 * (best.log_likelihood - runner_up.log_likelihood);
-    Ok(PokeAnswer { settings: Some(found.settings), gain, explanation })
+    Ok(PokeAnswer { settings: Some(found.settings), is_other_part: false, gain, explanation })
 }

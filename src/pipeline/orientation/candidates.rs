@@ -3,17 +3,43 @@
 use crate::ao::actuators_in_use;
 use crate::pupil::Pupil;
 use crate::scene::{Aperture, Scene};
-use crate::telescope::Telescope;
+use crate::telescope::{SegmentPlace, Telescope};
 use crate::{Error, Result};
 use ndarray::Array2;
 
 /// A known change of the wavefront, nm of wavefront.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Poke {
-    /// Piston of a segment, by its index from 0 on.
+    /// Piston of a segment, by its index from 0 on; [`Poke::of_segment`] takes its label.
     Segment(usize, f64),
     /// Command of an actuator, by its index in the table ACTUATORS, from 0 on.
     Actuator(usize, f64),
+}
+
+impl Poke {
+    /// Piston of the segment of `scene` with the label `label`: that of `pupil.segment_labels` or of the pupil's file, else its number.
+    ///
+    /// # Errors
+    /// Those of [`Telescope::new`]; [`Error::Value`] for a label that no segment has.
+    pub fn of_segment(scene: &Scene, label: &str, nm: f64) -> Result<Self> {
+        let places = SegmentPlace::all(scene, &Telescope::new(scene)?.pupil.segments);
+        Ok(Self::Segment(SegmentPlace::labelled(&places, label)?.number, nm))
+    }
+}
+
+/// The segment or actuator whose motion explains the images best in the scene's own orientation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MovedPart {
+    /// "segment" or "actuator", and its label or number.
+    pub name: String,
+    /// Whether it is the one that was stated.
+    pub is_stated: bool,
+    /// Correlation of the difference between the images' maps with the expected map.
+    pub correlation: f64,
+    /// Amplitude in the images over that of the poke.
+    pub amplitude: f64,
+    /// Logarithm of its likelihood over that of no poke.
+    pub log_likelihood: f64,
 }
 
 /// An orientation of the images, and how well it explains the poke.
@@ -38,17 +64,29 @@ pub(super) struct ExpectedMap {
     poke: Poke,
     /// Position of the actuator, and the influence of the mirror; `None` for a segment.
     influence: Option<crate::modes::InfluenceFunctions>,
+    /// The parts that may move, as messages name them.
+    names: Vec<String>,
 }
 
 impl ExpectedMap {
     pub(super) fn new(scene: &Scene, telescope: &Telescope, poke: Poke) -> Result<Self> {
-        let (what, index, nm, count, influence) = match poke {
-            Poke::Segment(index, nm) => ("segment", index, nm, telescope.pupil.segments.len(), None),
+        let (what, index, nm, names, influence) = match poke {
+            Poke::Segment(index, nm) => {
+                let places = SegmentPlace::all(scene, &telescope.pupil.segments);
+                ("segment", index, nm, places.into_iter().map(|place| place.label).collect::<Vec<_>>(), None)
+            }
             Poke::Actuator(index, nm) => {
                 let influence = actuators_in_use(scene, telescope)?;
-                ("actuator", index, nm, influence.len(), Some(influence))
+                (
+                    "actuator",
+                    index,
+                    nm,
+                    (0..influence.len()).map(|number| number.to_string()).collect(),
+                    Some(influence),
+                )
             }
         };
+        let count = names.len();
         if index >= count {
             let last = count.saturating_sub(1);
             return Err(Error::Value(format!("{what} {index} does not exist: 0 to {last} is accepted")));
@@ -56,18 +94,40 @@ impl ExpectedMap {
         if !nm.is_finite() || nm == 0.0 {
             return Err(Error::Value(format!("a poke of {nm} nm was given: a finite one other than 0 is needed")));
         }
-        Ok(Self { poke, influence })
+        Ok(Self { poke, influence, names: names.iter().map(|name| format!("{what} {name}")).collect() })
     }
 
     pub(super) fn name(&self) -> String {
-        match self.poke {
-            Poke::Segment(index, nm) => format!("the poke of segment {index} by {nm} nm"),
-            Poke::Actuator(index, nm) => format!("the poke of actuator {index} by {nm} nm"),
+        let (Poke::Segment(index, nm) | Poke::Actuator(index, nm)) = self.poke;
+        format!("the poke of {} by {nm} nm", self.names[index])
+    }
+
+    /// The part whose poke of either sign explains the difference best in the scene's own orientation.
+    pub(super) fn moved(&self, pupil: &Pupil, difference_nm: &Array2<f64>, modes: usize) -> Result<Option<MovedPart>> {
+        let (Poke::Segment(stated, nm) | Poke::Actuator(stated, nm)) = self.poke;
+        let mut best: Option<MovedPart> = None;
+        for (index, name) in self.names.iter().enumerate() {
+            let poke = match self.poke {
+                Poke::Segment(..) => Poke::Segment(index, nm),
+                Poke::Actuator(..) => Poke::Actuator(index, nm),
+            };
+            let map_nm = self.map_of(poke, pupil, [false; 2], 0.0)?;
+            let (correlation, amplitude) = compare(pupil, difference_nm, &map_nm);
+            if best.as_ref().is_none_or(|best| correlation.abs() > best.correlation.abs()) {
+                let (name, is_stated) = (name.clone(), index == stated);
+                let log_likelihood = log_likelihood(correlation.abs(), modes);
+                best = Some(MovedPart { name, is_stated, correlation, amplitude, log_likelihood });
+            }
         }
+        Ok(best)
     }
 
     /// The map `[y, x]` under an orientation, without piston, tip and tilt.
     pub(super) fn map_nm(&self, pupil: &Pupil, flip: [bool; 2], rotation_deg: f64) -> Result<Array2<f64>> {
+        self.map_of(self.poke, pupil, flip, rotation_deg)
+    }
+
+    fn map_of(&self, poke: Poke, pupil: &Pupil, flip: [bool; 2], rotation_deg: f64) -> Result<Array2<f64>> {
         let (grid, n) = (&pupil.grid, pupil.grid.samples());
         let (sin, cos) = rotation_deg.to_radians().sin_cos();
         // x = R(−θ)·F·u.
@@ -79,7 +139,7 @@ impl ExpectedMap {
         let index = |c_m: f64| (c_m / grid.pitch_m() + (n as f64 - 1.0) / 2.0).round();
         let mut map = Array2::zeros((n, n));
         let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = (0..n * n).map(|at| place(at / n, at % n)).unzip();
-        match (self.poke, &self.influence) {
+        match (poke, &self.influence) {
             (Poke::Segment(segment, nm), _) => {
                 for ((value, x_m), y_m) in map.iter_mut().zip(&xs_m).zip(&ys_m) {
                     let (x, y) = (index(*x_m), index(*y_m));
@@ -112,9 +172,7 @@ impl ExpectedMap {
                 let map_nm = self.map_nm(pupil, flip, rotation_deg)?;
                 let (correlation, amplitude) = compare(pupil, difference_nm, &map_nm);
                 for sign in [1.0, -1.0] {
-                    let explained = (sign * correlation).clamp(0.0, 1.0 - 1e-9).powi(2);
-                    // Residuals of as many coefficients, of unknown variance.
-                    let log_likelihood = -0.5 * modes as f64 * (1.0 - explained).ln();
+                    let log_likelihood = log_likelihood(sign * correlation, modes);
                     let (correlation, amplitude) = (sign * correlation, sign * amplitude);
                     found.push(OrientationCandidate {
                         flip,
@@ -130,6 +188,12 @@ impl ExpectedMap {
         found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
         Ok(found)
     }
+}
+
+/// Logarithm of the likelihood, over that of no poke, of a map with this correlation: residuals of as many coefficients, of unknown variance.
+fn log_likelihood(correlation: f64, modes: usize) -> f64 {
+    let explained = correlation.clamp(0.0, 1.0 - 1e-9).powi(2);
+    -0.5 * modes as f64 * (1.0 - explained).ln()
 }
 
 /// Rotations besides flips under which the pupil equals itself; two flips are a rotation by 180°.

@@ -40,7 +40,9 @@ fn every_orientation_of_a_poke_is_found() {
                         let map_nm = expected.map_nm(pupil, flip, rotation_deg).unwrap();
                         let difference_nm = pupil.remove_piston_tip_tilt((&map_nm * sign + &other).view()).unwrap();
                         let candidates = expected.candidates(pupil, &scene, &difference_nm, modes).unwrap();
-                        let found = selected(candidates, &expected, pupil, &scene, false).unwrap();
+                        let moved = expected.moved(pupil, &difference_nm, modes).unwrap();
+                        let found = selected(candidates, moved, &expected, pupil, &scene, false).unwrap();
+                        let PokeResult::Orientation(found) = found else { panic!("{found:?}") };
                         let best = found.best;
                         assert_eq!((best.flip, best.rotation_deg, best.sign), (flip, rotation_deg, sign), "{poke:?}");
                         assert!(best.correlation > 0.8 && found.equivalent.is_empty(), "{found:?}");
@@ -51,6 +53,27 @@ fn every_orientation_of_a_poke_is_found() {
             assert_eq!(tried, 24);
         }
     }
+}
+
+/// 9 was stated, which no symmetry of the pupil turns into the segment that moved, its neighbour 8.
+#[test]
+fn wrong_segment_number_is_named() {
+    let scene = scene("-17.1");
+    let telescope = Telescope::new(&scene).unwrap();
+    let pupil = &telescope.pupil;
+    let [stated, moved] = [9, 8].map(|index| ExpectedMap::new(&scene, &telescope, Poke::Segment(index, 90.0)).unwrap());
+    let difference_nm = moved.map_nm(pupil, [false; 2], 0.0).unwrap();
+    let answer = |expected: &ExpectedMap| {
+        let candidates = expected.candidates(pupil, &scene, &difference_nm, 60).unwrap();
+        let moved = expected.moved(pupil, &difference_nm, 60).unwrap();
+        selected(candidates, moved, expected, pupil, &scene, false).unwrap()
+    };
+    let found = answer(&stated);
+    let PokeResult::OtherPart(sentence) = &found else { panic!("{found:?}") };
+    assert!(sentence.starts_with("segment 8 moved") && sentence.contains("the poke of segment 9"), "{sentence}");
+    let found = answer(&moved);
+    let PokeResult::Orientation(found) = &found else { panic!("{found:?}") };
+    assert!(found.settings.is_empty() && found.moved.as_ref().is_some_and(|moved| moved.is_stated), "{found:?}");
 }
 
 #[test]

@@ -3,14 +3,18 @@
 use crate::io::file_of;
 use crate::pipeline::consistency::Electrons;
 use crate::pipeline::policy::Policy;
-use crate::pipeline::scene_files::scene_files;
+use crate::pipeline::scene_files::{check_file, scene_files};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::Array3;
+use std::io::Read;
+use std::path::Path;
 use twox_hash::xxhash3_128::Hasher;
 
 /// Values that are hashed at once: a call for every eight bytes takes longer than the hash itself.
 const VALUES_AT_ONCE: usize = 512;
+/// Bytes of a file that are read at once.
+const BYTES_AT_ONCE: usize = 1 << 20;
 
 /// XXH3 in 128 bits of the version, the policy, the scene with its files, and scene and images of each channel. It distinguishes
 /// estimates; it is no protection against someone who constructs two with one hash.
@@ -27,7 +31,7 @@ pub(super) fn identity(policy: &Policy, scene: &Scene, each: &[(&Scene, &Electro
         // An estimate needs not all of them.
         if path.exists() {
             bytes(&mut hasher, key.as_bytes());
-            bytes(&mut hasher, &std::fs::read(&path).map_err(|error| Error::file(&path, error))?);
+            content(&mut hasher, &path)?;
         }
     }
     for (scene, images) in each {
@@ -37,6 +41,22 @@ pub(super) fn identity(policy: &Policy, scene: &Scene, each: &[(&Scene, &Electro
         cube(&mut hasher, &images.bad, |is_bad| [u8::from(is_bad)]);
     }
     Ok(hasher.finish_128())
+}
+
+/// Adds the content of a file, after its length.
+fn content(hasher: &mut Hasher, path: &Path) -> Result<()> {
+    let failed = |error: std::io::Error| Error::file(path, error);
+    let length = check_file(path)?;
+    hasher.write(&length.to_le_bytes());
+    // Not beyond the length that was accepted, where the file grows.
+    let mut file = std::fs::File::open(path).map_err(failed)?.take(length);
+    let mut buffer = vec![0; BYTES_AT_ONCE];
+    loop {
+        match file.read(&mut buffer).map_err(failed)? {
+            0 => return Ok(()),
+            count => hasher.write(&buffer[..count]),
+        }
+    }
 }
 
 /// Adds some bytes, after their number: "ab", "c" and "a", "bc" differ.

@@ -5,8 +5,8 @@ use super::escape::escape;
 /// A segment of the picture.
 #[derive(Debug, Clone)]
 pub struct SegmentValue {
-    /// Number that a reader knows it by.
-    pub label: i64,
+    /// Number or word that a reader knows it by.
+    pub label: String,
     /// Centre, m; y is up.
     pub centre_m: [f64; 2],
     /// Value and its error bar, nm; `None` where nothing is known.
@@ -61,7 +61,7 @@ pub fn mirror(segments: &[SegmentValue]) -> String {
                  <text x=\"{x:.1}\" y=\"{:.1}\" font-size=\"{:.1}\" fill=\"{ink}\">{value}</text>",
                 -y - 0.06 * size,
                 0.55 * size,
-                segment.label,
+                escape(&segment.label),
                 -y + 0.5 * size,
                 0.5 * size
             );

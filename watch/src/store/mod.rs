@@ -9,6 +9,7 @@ mod lock;
 mod read;
 mod records;
 mod schema;
+mod unfinished;
 
 pub use corrections::{Correction, StoredCorrection};
 pub use lock::Lock;
@@ -29,6 +30,8 @@ pub struct Store {
     path: PathBuf,
     connection: Connection,
     about: About,
+    /// That frames may be missing, as a sentence.
+    incomplete: Option<String>,
     _lock: Lock,
 }
 
@@ -55,11 +58,19 @@ impl Store {
     pub fn open(path: &Path, about: About) -> Result<Self> {
         let lock = Lock::take(path)?;
         let failed = failed(path);
+        let has_log = unfinished::has_log(path);
         let mut connection = Connection::open(path).map_err(&failed)?;
         schema::prepare(path, &mut connection)?;
-        let mut store = Self { path: path.to_path_buf(), connection, about, _lock: lock };
+        let incomplete = unfinished::sentence(&connection, has_log).map_err(&failed)?;
+        let mut store = Self { path: path.to_path_buf(), connection, about, incomplete, _lock: lock };
         store.agree()?;
+        unfinished::begin(path, &store.connection).map_err(&failed)?;
         Ok(store)
+    }
+
+    /// That frames of an earlier watch may be missing, as a sentence.
+    pub fn incomplete(&self) -> Option<&str> {
+        self.incomplete.as_deref()
     }
 
     /// Compares the model with the one that the store was made for; a new store takes it.
@@ -199,6 +210,7 @@ impl Store {
 
     /// Ends: moves the log into the file, so that one file is left.
     pub fn close(self) -> Result<()> {
+        unfinished::end(&self.connection).map_err(failed(&self.path))?;
         self.connection.close().map_err(|(_, error)| failed(&self.path)(error))
     }
 }

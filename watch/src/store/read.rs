@@ -2,7 +2,7 @@
 
 use super::failure::failed;
 use super::records::{About, StoredEvent, StoredFrame, numbers};
-use super::schema;
+use super::{schema, unfinished};
 use cophase::{Error, Result};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, params};
 use serde::Serialize;
@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 pub struct Reader {
     pub(super) path: PathBuf,
     pub(super) connection: Connection,
+    incomplete: Option<String>,
 }
 
 /// Numbers of frames.
@@ -62,11 +63,18 @@ impl Reader {
             return Err(Error::file(path, "does not exist: the --state file of a cophase watch is needed"));
         }
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let has_log = unfinished::has_log(path);
         let connection = Connection::open_with_flags(path, flags).map_err(failed(path))?;
         if schema::is_empty(path, &connection)? {
             return Err(Error::file(path, "is empty: the --state file of a cophase watch is needed"));
         }
-        Ok(Self { path: path.to_path_buf(), connection })
+        let incomplete = unfinished::sentence(&connection, has_log).map_err(failed(path))?;
+        Ok(Self { path: path.to_path_buf(), connection, incomplete })
+    }
+
+    /// That frames may be missing, as a sentence.
+    pub fn incomplete(&self) -> Option<&str> {
+        self.incomplete.as_deref()
     }
 
     /// The model of the store.

@@ -4,6 +4,7 @@ use cophase::Result;
 use cophase::io::write_atomically;
 use cophase::modal::FittedImage;
 use cophase::pipeline::{Estimate, Figure, ImageStatus};
+use cophase::telescope::SegmentPlace;
 use cophase_view::html::{self, Colours, SegmentValue};
 use cophase_view::terminal::counted;
 use std::path::Path;
@@ -92,13 +93,13 @@ fn of_segment(estimate: &Estimate, segment: usize, motion: &str) -> Option<[f64;
 }
 
 fn segments(estimate: &Estimate) -> Vec<SegmentValue> {
-    let each = estimate.pupil.segments.iter().enumerate();
-    each.map(|(number, segment)| SegmentValue {
-        label: segment.label.into(),
-        centre_m: [segment.x_m, segment.y_m],
-        value_nm: of_segment(estimate, number, MOTIONS[0]),
-    })
-    .collect()
+    let places = SegmentPlace::all(&estimate.scene, &estimate.pupil.segments);
+    let each = places.into_iter().map(|place| SegmentValue {
+        label: place.label,
+        centre_m: [place.x_m, place.y_m],
+        value_nm: of_segment(estimate, place.number, MOTIONS[0]),
+    });
+    each.collect()
 }
 
 fn maps(estimate: &Estimate) -> Result<String> {
@@ -137,7 +138,7 @@ fn segment_table(estimate: &Estimate, segments: &[SegmentValue]) -> String {
     let headers: Vec<&str> = ["segment", "label"].into_iter().chain(columns.iter().map(String::as_str)).collect();
     let row = |(number, segment): (usize, &SegmentValue)| {
         let values = motions.iter().flat_map(|motion| of_segment(estimate, number, motion).unwrap_or([f64::NAN; 2]));
-        [number.to_string(), segment.label.to_string()].into_iter().chain(values.map(nm)).collect()
+        [number.to_string(), segment.label.clone()].into_iter().chain(values.map(nm)).collect()
     };
     let rows: Vec<Vec<String>> = segments.iter().enumerate().map(row).collect();
     html::table(&headers, 0, &rows, "none")
