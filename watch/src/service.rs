@@ -62,7 +62,10 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
         Model::new(settings.scene, settings.policy, interrupt)?
     };
     let store = Store::open(&settings.state, model.about(place.to_string()))?;
-    let tracking = Tracking::new(model.estimator.fitter().model(), &settings.tracking, store.tracker()?.as_deref())?;
+    let tracking = Tracking::new(model.estimator.fitter(), &settings.tracking, store.tracker()?.as_deref())?;
+    if let Some(warning) = tracking.warning() {
+        terminal.warn(&warning);
+    }
     let mut source = match &place {
         Place::Folder(folder) => {
             Source::Folder(Box::new(Folder::new(folder, &store.files()?, settings.poll, settings.settle)))
