@@ -16,6 +16,9 @@ use ndarray::{Array1, Array2, ArrayView1};
 const EXACT: f64 = 1e-3;
 const NEARLY: f64 = 0.1;
 
+/// Part of a mode in a plane below which it is rounding.
+const ROUNDING: f64 = 1e-9;
+
 /// Pointing in terms of the modes of a model.
 #[derive(Debug, Clone)]
 pub struct Pointing {
@@ -87,6 +90,8 @@ fn planes(model: &Model, motions: &GlobalMotions, before: usize) -> Result<(Arra
         share = share.max((1.0 - projection.mean_square_nm2).max(0.0).sqrt());
         let mut row = projection.coefficients_nm.to_vec();
         motions.remove(&mut row);
+        // Where single modes are tip and tilt, the others keep their bits.
+        row.iter_mut().filter(|part| part.abs() < ROUNDING).for_each(|part| *part = 0.0);
         rows.push(row);
     }
     let modes = Array2::from_shape_fn((2, model.basis.len()), |(axis, mode)| rows[axis][mode]);

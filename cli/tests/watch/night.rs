@@ -120,7 +120,7 @@ fn a_night_is_exported_as_a_table_and_as_fits() {
     // The odd name, escaped, with the reason; nothing that a browser would ask for.
     assert!(report.contains("zz, &quot;odd&quot;.fits") && report.contains("<h2>Alarms</h2>"), "{report}");
     assert!(!report.contains("<script") && !report.contains("http") && !report.contains("<img"), "{report}");
-    assert_eq!((report.matches("<polygon").count(), report.matches("class=\"dot\"").count()), (7, 8));
+    assert_eq!((report.matches("<polygon").count(), report.matches("class=\"dot\"").count()), (7, 12));
     let table = std::fs::read_to_string(desk.path("night.csv")).unwrap();
     let lines: Vec<&str> = table.split_terminator("\r\n").collect();
     assert_eq!(lines.len(), 4);

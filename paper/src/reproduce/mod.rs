@@ -36,7 +36,7 @@ pub use checks::{CHECK_ROWS, CheckDraw, CheckRow, Checks, checks};
 pub use closed_loop::{ClosedLoop, Round, closed_loop};
 pub use diversity::{Diversity, DiversityPoint, diversity};
 pub use hard_cases::{Draws, HARD_CASES, HardCase, HardCases, Mismatch, Spoil, Verdict, hard_cases};
-pub use moving_star::{Disturbance, MovingKind, MovingNight, MovingStar, Step, moving_star};
+pub use moving_star::{Disturbance, MovingNight, MovingNights, MovingRow, MovingStar, Step, moving_star};
 pub use night::{BadFrame, Followed, Jump, Night, QuietNights, Scenario, TrackedFrame, night};
 pub use observations::{Observations, PlannedScene, observations};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};

@@ -3,9 +3,9 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    ChannelRow, CheckRow, HardCase, Options, Progress, PullRow, PyramidParts, Report, artificial_source, beyond,
-    beyond_rows, channels, checks, closed_loop, diversity, hard_cases, image_numbers, moving_star, night, observations,
-    on_sky, petals, pulls, pyramid, samples,
+    ChannelRow, CheckRow, HardCase, MovingRow, Options, Progress, PullRow, PyramidParts, Report, artificial_source,
+    beyond, beyond_rows, channels, checks, closed_loop, diversity, hard_cases, image_numbers, moving_star, night,
+    observations, on_sky, petals, pulls, pyramid, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::pipeline::Part;
@@ -268,7 +268,9 @@ impl Target {
             Target::Checks => run.end(checks(&CheckRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),
             Target::Observations => run.end(observations(seeds, progress)?, |found, to| found.report(to)),
             Target::Night => run.end(night(seeds, quick, progress)?, |found, to| found.report(to)),
-            Target::MovingStar => run.end(moving_star(seeds, quick, progress)?, |found, to| found.report(to)),
+            Target::MovingStar => {
+                run.end(moving_star(&MovingRow::named(rows)?, seeds, quick, progress)?, |found, to| found.report(to))
+            }
             Target::ClosedLoop => run.end(closed_loop(seeds, progress)?, |found, to| found.report(to)),
             Target::Petals => run.end(petals(seeds, quick, progress)?, |found, to| found.report(to)),
             Target::Pyramid => {

@@ -2,6 +2,7 @@
 
 use super::INTERVAL_S;
 use cophase::source::stream;
+use cophase::{Error, Result};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
@@ -16,8 +17,9 @@ const FOCUS: usize = SEGMENTS + 2;
 const DRIFT_NM_PER_SQRT_HOUR: f64 = 5.0;
 /// Tip of one pixel, nm RMS over the circle of the Zernikes: λ/4 for each λ/D, of which a pixel is a half.
 const NM_PER_PIXEL: f64 = 2168.6 / 8.0;
-/// Motion of the star, pixels RMS along each axis; of the focus, nm RMS; of the flux, largest fraction.
+/// Motion of the star, pixels RMS along each axis, and largest where it goes far; of the focus, nm RMS; of the flux, largest fraction.
 const STAR_PIXELS: f64 = 0.5;
+const FAR_PIXELS: f64 = 4.0;
 const FOCUS_NM: f64 = 5.0;
 const FLUX: f64 = 0.2;
 /// Periods of a focus that breathes slowly, h.
@@ -43,6 +45,8 @@ pub enum Disturbance {
     Still,
     /// The star alone.
     Star,
+    /// The star alone, anywhere within four pixels of the axis.
+    FarStar,
     /// Star, flux, and a focus that breathes with a period of 20 to 90 minutes.
     SlowFocus,
     /// Star, flux, and a focus that is another one in each image.
@@ -71,13 +75,14 @@ pub struct DisturbedNight {
 
 impl Disturbance {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Still, Self::Star, Self::SlowFocus, Self::FastFocus];
+    pub const ALL: [Self; 5] = [Self::Still, Self::Star, Self::FarStar, Self::SlowFocus, Self::FastFocus];
 
     /// A few words.
     pub fn words(self) -> &'static str {
         match self {
             Self::Still => "nothing",
             Self::Star => "star",
+            Self::FarStar => "star within 4 pixels",
             Self::SlowFocus => "star, flux, focus slowly",
             Self::FastFocus => "star, flux, focus in each image",
         }
@@ -86,16 +91,15 @@ impl Disturbance {
     /// Night `number`, of `images` images. Drift and steps are those of the other kinds.
     pub fn night(self, number: u64, images: usize) -> DisturbedNight {
         let (mut random, mut other) = (stream(500 + number, 0), stream(500 + number, 1));
-        let mut normal = || StandardNormal.sample(&mut random);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
         let mut now_nm: Vec<f64> = (0..SEGMENTS + NOLLS.count()).map(|_| 15.0 * normal()).collect();
         (0..2).for_each(|axis| now_nm[TIP + axis] = 0.0);
         let step_nm = DRIFT_NM_PER_SQRT_HOUR * (INTERVAL_S / 3600.0).sqrt();
-        let segment = |random: &mut dyn FnMut() -> u32| random() as usize % SEGMENTS;
         let steps: Vec<Step> = STEPS
             .iter()
             .map(|&(place, nm)| Step {
                 image: (place * images as f64) as usize,
-                segment: segment(&mut || other.next_u32()),
+                segment: other.next_u32() as usize % SEGMENTS,
                 nm,
             })
             .collect();
@@ -110,12 +114,16 @@ impl Disturbance {
             steps.iter().filter(|step| step.image == image).for_each(|step| now_nm[step.segment] += step.nm);
             let mut aberrations_nm = now_nm.clone();
             let (star, breath, flux) = ([normal(), normal()], normal(), 1.0 + FLUX * (2.0 * uniform() - 1.0));
-            if self != Self::Still {
-                (0..2).for_each(|axis| aberrations_nm[TIP + axis] += STAR_PIXELS * NM_PER_PIXEL * star[axis]);
-            }
+            let far = [0, 1].map(|_| FAR_PIXELS * (2.0 * uniform() - 1.0));
+            let star_pixels = match self {
+                Self::Still => [0.0; 2],
+                Self::FarStar => far,
+                Self::Star | Self::SlowFocus | Self::FastFocus => star.map(|normal| STAR_PIXELS * normal),
+            };
+            (0..2).for_each(|axis| aberrations_nm[TIP + axis] += NM_PER_PIXEL * star_pixels[axis]);
             let hours = image as f64 * INTERVAL_S / 3600.0;
             aberrations_nm[FOCUS] += match self {
-                Self::Still | Self::Star => 0.0,
+                Self::Still | Self::Star | Self::FarStar => 0.0,
                 Self::SlowFocus => FOCUS_NM * 2f64.sqrt() * (TAU * hours / period_h + phase).sin(),
                 Self::FastFocus => FOCUS_NM * breath,
             };
@@ -123,5 +131,39 @@ impl Disturbance {
             Moment { aberrations_nm, flux: if has_flux { flux } else { 1.0 } }
         });
         DisturbedNight { moments: moments.collect(), steps: steps.clone(), seed: number }
+    }
+}
+
+/// A row of the table: what moves, and how bright the star is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MovingRow {
+    /// What moves.
+    pub disturbance: Disturbance,
+    /// Signal-to-noise ratio of the brightest pixel: 25 leaves 4 nm in a piston from one image, 500 some tenths.
+    pub peak_snr: &'static str,
+}
+
+impl MovingRow {
+    /// Its name.
+    pub fn name(self) -> String {
+        format!("{}, S/N {}", self.disturbance.words(), self.peak_snr)
+    }
+
+    /// Rows whose names contain one of these texts; all for none.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a text that no name contains.
+    pub fn named(texts: &[String]) -> Result<Vec<Self>> {
+        let rows = |peak_snr| Disturbance::ALL.map(|disturbance| Self { disturbance, peak_snr });
+        let all: Vec<Self> = ["25", "500"].into_iter().flat_map(rows).collect();
+        if let Some(odd) = texts.iter().find(|text| !all.iter().any(|row| row.name().contains(*text))) {
+            let names: Vec<String> = all.iter().map(|row| row.name()).collect();
+            return Err(Error::Value(format!(
+                "no row of moving-star contains '{odd:.60}': parts of {} are accepted",
+                names.join("; ")
+            )));
+        }
+        let is_wanted = |row: &Self| texts.is_empty() || texts.iter().any(|text| row.name().contains(text));
+        Ok(all.into_iter().filter(is_wanted).collect())
     }
 }

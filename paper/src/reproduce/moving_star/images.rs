@@ -33,7 +33,6 @@ pub struct Observatory<'a> {
     scene: &'a Scene,
     telescope: Telescope,
     zernikes: SmoothBasis,
-    camera: Camera,
     flux_e: f64,
 }
 
@@ -41,18 +40,17 @@ impl<'a> Observatory<'a> {
     pub fn new(scene: &'a Scene) -> Result<Self> {
         let telescope = Telescope::new(scene)?;
         let zernikes = SmoothBasis::zernike(Zernikes::new(NOLLS, 0.5 * telescope.pupil.grid.width_m())?);
-        let (camera, flux_e) = (Camera::new(scene, &telescope)?, source::simulate(scene)?.flux_e);
-        Ok(Self { scene, zernikes, camera, flux_e, telescope })
+        Ok(Self { scene, zernikes, flux_e: source::simulate(scene)?.flux_e, telescope })
     }
 
     /// The image of a moment without bad pixels, electrons, `[y, x]`.
-    fn image_e(&self, moment: &Moment, seed: u64, number: usize) -> Result<Array2<f64>> {
+    fn image_e(&self, camera: &Camera, moment: &Moment, seed: u64, number: usize) -> Result<Array2<f64>> {
         let (pistons_nm, zernikes_nm) = moment.aberrations_nm.split_at(SEGMENTS);
         let none = self.scene.with(&[("aberrations.segment_piston_rms_nm", "0"), ("aberrations.ncpa_rms_nm", "0")])?;
         let truth = Truth::draw(&none, &self.telescope, &mut stream(1, 0))?
             .with_pistons(&self.telescope, pistons_nm.to_vec())?
             .with_added_ncpa(&self.telescope, self.zernikes.clone(), zernikes_nm.to_vec())?;
-        let psf = self.camera.psf(&truth)?;
+        let psf = camera.psf(&truth)?;
         let mut random = stream(800 + seed, NOISE_STREAMS + number as u64);
         Ok(psf.mapv(|h| expose(&self.scene.image, h, self.flux_e * moment.flux, &mut random)))
     }
@@ -65,6 +63,7 @@ impl<'a> Observatory<'a> {
         progress: &Progress,
     ) -> Result<Vec<Option<Estimated>>> {
         let options = SessionOptions { capacity: BATCH, threads: 0, ..SessionOptions::default() };
+        let camera = Camera::new(self.scene, &self.telescope)?;
         let mut session = Session::new(fitter.clone(), &options)?;
         let mut random = stream(900 + night.seed, 0);
         let side = self.scene.image.pixels;
@@ -73,7 +72,7 @@ impl<'a> Observatory<'a> {
         let mut estimates = Vec::with_capacity(numbers.len());
         for batch in numbers.chunks(BATCH) {
             progress.check()?;
-            let image = |&number: &usize| self.image_e(&night.moments[number], night.seed, number);
+            let image = |&number: &usize| self.image_e(&camera, &night.moments[number], night.seed, number);
             let images: Vec<Array2<f64>> = batch.par_iter().map(image).collect::<Result<_>>()?;
             for (place, image_e) in images.iter().enumerate() {
                 let (mut to_e, mut to_bad) = session.frame_mut(place)?;

@@ -8,7 +8,7 @@ mod disturbance;
 mod images;
 mod report;
 
-pub use disturbance::{Disturbance, Step};
+pub use disturbance::{Disturbance, MovingRow, Step};
 
 use super::Progress;
 use cophase::Result;
@@ -19,13 +19,12 @@ use images::{Estimated, Observatory};
 use ndarray::ArrayView1;
 use std::sync::Arc;
 
-/// The telescope of the simulated night, at the same signal-to-noise ratio, with tip and tilt among the modes.
-const SETTINGS: [(&str, &str); 11] = [
+/// The telescope of the simulated night, with tip and tilt among the modes.
+const SETTINGS: [(&str, &str); 10] = [
     ("pupil.samples", "80"),
     ("image.samples_per_lambda_over_d", "2"),
     ("image.pixels", "96"),
     ("image.read_noise_e", "20"),
-    ("image.peak_snr", "25"),
     ("image.count", "1"),
     ("modes.ncpa", "none"),
     ("modes.exact_zernikes", "[2, 18]"),
@@ -54,46 +53,44 @@ pub struct MovingNight {
     pub refused: [usize; 2],
 }
 
-/// Nights of one kind.
+/// Nights of one row.
 #[derive(Debug, Clone)]
-pub struct MovingKind {
+pub struct MovingNights {
     /// What moves.
-    pub disturbance: Disturbance,
+    pub row: MovingRow,
     /// Each night.
     pub nights: Vec<MovingNight>,
 }
 
-/// Nights of all kinds.
+/// Nights of some rows.
 #[derive(Debug, Clone)]
 pub struct MovingStar {
-    /// Kind by kind.
-    pub kinds: Vec<MovingKind>,
+    /// Row by row.
+    pub rows: Vec<MovingNights>,
     /// False alarms a night that were asked for.
     pub asked: f64,
 }
 
-/// `nights` of each kind of disturbance, an eighth of a night each if `quick`.
+/// `nights` of each row, an eighth of a night each if `quick`.
 ///
 /// # Errors
 /// Those of simulation and estimator; [`cophase::Error::Interrupted`].
-pub fn moving_star(nights: usize, quick: bool, progress: &Progress) -> Result<MovingStar> {
+pub fn moving_star(rows: &[MovingRow], nights: usize, quick: bool, progress: &Progress) -> Result<MovingStar> {
     let images = if quick { IMAGES / 8 } else { IMAGES };
-    let kinds = Disturbance::ALL;
-    progress.expect(kinds.len() * nights * images);
-    let scene = Scene::preset("keck-artificial")?.with(&SETTINGS)?;
-    let fitter = Arc::new(ModalFitter::new(&scene, false)?);
-    let observatory = Observatory::new(&scene)?;
+    progress.expect(rows.len() * nights * images);
     let mut found = Vec::new();
-    for disturbance in kinds {
+    for &row in rows {
+        let scene = Scene::preset("keck-artificial")?.with(&SETTINGS)?.with(&[("image.peak_snr", row.peak_snr)])?;
+        let (fitter, observatory) = (Arc::new(ModalFitter::new(&scene, false)?), Observatory::new(&scene)?);
         let mut made = Vec::new();
         for number in 0..nights {
-            let night = disturbance.night(number as u64, images);
+            let night = row.disturbance.night(number as u64, images);
             let estimates = observatory.estimates(&fitter, &night, progress)?;
             made.push(followed(&fitter, &night.steps, &estimates)?);
         }
-        found.push(MovingKind { disturbance, nights: made });
+        found.push(MovingNights { row, nights: made });
     }
-    Ok(MovingStar { kinds: found, asked: ASKED * images as f64 / IMAGES as f64 })
+    Ok(MovingStar { rows: found, asked: ASKED * images as f64 / IMAGES as f64 })
 }
 
 /// The tracker on the estimates of a night.

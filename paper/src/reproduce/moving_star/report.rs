@@ -1,6 +1,6 @@
 //! Table of the disturbed nights.
 
-use super::MovingStar;
+use super::{MovingNights, MovingStar};
 use crate::experiment::{Cell, Table};
 use crate::reproduce::Report;
 use cophase::Result;
@@ -26,29 +26,28 @@ impl MovingStar {
             "refused_fits",
             "outliers",
         ]);
-        for kind in &self.kinds {
-            let nights = &kind.nights;
+        for MovingNights { row, nights } in &self.rows {
             let sum = |value: &dyn Fn(&super::MovingNight) -> usize| nights.iter().map(value).sum::<usize>();
             let false_alarms = [0, 1].map(|which| sum(&|night| night.false_alarms[which]));
             let asked = self.asked * nights.len() as f64;
             let named = |step: usize| sum(&|night| usize::from(night.named_after[step].is_some()));
             let latest = |step: usize| nights.iter().filter_map(|night| night.named_after[step]).max();
-            let mut row = vec![
-                kind.disturbance.words().into(),
+            let mut cells = vec![
+                Cell::Text(row.name()),
                 nights.len().into(),
                 Cell::Number(asked, 1),
                 false_alarms[0].into(),
                 false_alarms[1].into(),
                 Cell::Number((false_alarms[0] + false_alarms[1]) as f64 / asked, 2),
             ];
-            row.extend((0..3).map(|step| named(step).into()));
-            row.extend((0..3).map(|step| Cell::Number(latest(step).map_or(f64::NAN, |images| images as f64), 0)));
-            row.extend([
+            cells.extend((0..3).map(|step| named(step).into()));
+            cells.extend((0..3).map(|step| Cell::Number(latest(step).map_or(f64::NAN, |images| images as f64), 0)));
+            cells.extend([
                 sum(&|night| night.moves).into(),
                 sum(&|night| night.refused[0]).into(),
                 sum(&|night| night.refused[1]).into(),
             ]);
-            table.push(row);
+            table.push(cells);
         }
         table
     }
