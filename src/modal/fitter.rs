@@ -8,6 +8,7 @@ use super::global_motions::GlobalMotions;
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
+use super::pointing::Pointing;
 use super::recipe::Recipe;
 use super::tilts::Tilts;
 use crate::imaging::CpuChain;
@@ -191,6 +192,14 @@ impl ModalFitter {
     /// The f64 CPU chain of this model.
     pub fn reference_chain(&self) -> &CpuChain<f64> {
         &self.reference
+    }
+
+    /// Where the star is in an image, in terms of the modes.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for modes on another grid than the pupil's.
+    pub fn pointing(&self) -> Result<Pointing> {
+        Pointing::new(&self.model, &self.motions, &self.tilts)
     }
 
     /// Whether `direction` is a motion of the whole mirror, which is 0 by convention: its piston, and where segments have tips

@@ -40,6 +40,7 @@ pub(super) fn spanned_tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
 }
 
 /// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
+#[derive(Debug, Clone)]
 pub(super) struct Tilts {
     /// Tip and tilt of each mode, per nm.
     modes: Vec<[f64; 2]>,
@@ -63,6 +64,11 @@ impl Tilts {
         let width_m = pupil.grid.width_m() * model.width_ratio();
         let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * width_m);
         Ok(Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) })
+    }
+
+    /// Tip and tilt of a shift by one model pixel along x and y, nm RMS.
+    pub(super) fn per_pixel_nm(&self) -> [f64; 2] {
+        self.per_pixel_nm
     }
 
     /// Tip and tilt of a wavefront whose image was moved onto the axis by `shift_pixels`, nm RMS.

@@ -48,6 +48,9 @@ pub struct FrameEstimate {
     pub flux_e: f64,
     /// Electrons per native pixel; NaN where there is no fit.
     pub background_e: f64,
+    /// Tip and tilt of the wavefront, with those of the whole pixels by which the image was moved, nm RMS over the pupil along x and y; the mean
+    /// of the images of the estimate. NaN where there is no fit.
+    pub tip_tilt_nm: [f64; 2],
     /// Status of the fit.
     pub status: ImageStatus,
     /// Why the numbers must not be used: a sentence; `None` where they may.
@@ -218,6 +221,7 @@ fn fit(
         reduced_chi2: report.reduced_chi2,
         flux_e: report.flux_e,
         background_e: report.background_e,
+        tip_tilt_nm: report.tip_tilt_nm,
         status: report.status.kind(),
         refusal: None,
         warnings: images.notes.clone(),
@@ -269,10 +273,18 @@ impl FrameEstimate {
                 .iter()
                 .find(|image| image.is_used)
                 .map_or(f64::NAN, |image| image.background_e),
+            tip_tilt_nm: mean_tip_tilt_nm(estimate),
             status: estimate.status,
             refusal,
             warnings: estimate.warnings.clone(),
             compared: estimate.compared.first().cloned(),
         })
     }
+}
+
+/// Mean over the images that an estimate is from; NaN for none.
+fn mean_tip_tilt_nm(estimate: &Estimate) -> [f64; 2] {
+    let used: Vec<[f64; 2]> =
+        estimate.images.iter().filter(|image| image.is_used).map(|image| image.tip_tilt_nm).collect();
+    [0, 1].map(|axis| used.iter().map(|pair| pair[axis]).sum::<f64>() / used.len() as f64)
 }

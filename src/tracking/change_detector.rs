@@ -40,6 +40,9 @@ pub(super) struct ChangeDetector {
     window: VecDeque<Scores>,
     pub(super) mode_threshold: f64,
     pub(super) all_threshold: f64,
+    false_alarms_per_step: f64,
+    /// Number of components in which steps are looked for.
+    components: usize,
 }
 
 /// A change that the window shows.
@@ -51,13 +54,22 @@ pub(super) enum Alarm {
 }
 
 impl ChangeDetector {
-    /// Detectors of `modes` segment modes and one of all, which has `dimension` components; each has the same part of the false alarms.
-    pub(super) fn new(modes: usize, dimension: usize, false_alarms_per_step: f64) -> Self {
-        let each = false_alarms_per_step / (modes as f64 + 1.0);
+    /// Detectors of single segment modes and one of all modes, which have `components`; each raises so many false alarms with an estimate.
+    pub(super) fn new(components: usize, false_alarms_per_step: f64) -> Self {
         Self {
             window: VecDeque::with_capacity(WINDOWS[1]),
-            mode_threshold: change_threshold(1, WINDOWS, each),
-            all_threshold: change_threshold(dimension, WINDOWS, each),
+            mode_threshold: change_threshold(1, WINDOWS, false_alarms_per_step),
+            all_threshold: change_threshold(components.max(1), WINDOWS, false_alarms_per_step),
+            false_alarms_per_step,
+            components,
+        }
+    }
+
+    /// Looks for steps in so many components from now on: white innovations have nothing in the others.
+    pub(super) fn look_in(&mut self, components: usize) {
+        if components != self.components {
+            self.components = components;
+            self.all_threshold = change_threshold(components.max(1), WINDOWS, self.false_alarms_per_step);
         }
     }
 
@@ -109,7 +121,7 @@ impl ChangeDetector {
         // In units of the innovations' error bars, whose root mean square over the modes is that of the information.
         let unit_nm = (newest.information.len() as f64 / newest.information.sum().max(f64::MIN_POSITIVE)).sqrt();
         let error_nm = unit_nm / (length as f64).sqrt();
-        let excess = (statistic - newest.white.len() as f64).max(0.0).sqrt();
+        let excess = (statistic - self.components as f64).max(0.0).sqrt();
         Some((Alarm::All(excess * error_nm, error_nm, statistic), since_s(length)))
     }
 

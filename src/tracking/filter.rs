@@ -5,6 +5,9 @@ use crate::Result;
 use crate::linear_algebra::CholeskyFactor;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
+/// Variance of a coordinate from which nothing is concluded, over its own: an innovation of a hundred standard deviations counts for 1e-2 of χ².
+const OPENED: f64 = 1e6;
+
 /// State x and its covariance P.
 #[derive(Debug, Clone)]
 pub(super) struct Filter {
@@ -55,6 +58,23 @@ impl Filter {
         let factor = CholeskyFactor::new(&(&self.covariance_nm2 + covariance_nm2))?;
         let white = factor.whiten_vector(z_nm - &self.state_nm);
         Ok(Innovation { factor, white })
+    }
+
+    /// [`Filter::innovation`] where nothing is concluded from the coordinates `left_out`: their variance is opened, which marginalises them.
+    ///
+    /// # Errors
+    /// As [`Filter::innovation`].
+    pub(super) fn innovation_without(
+        &self,
+        z_nm: &Array1<f64>,
+        covariance_nm2: &Array2<f64>,
+        left_out: &[usize],
+    ) -> Result<Innovation> {
+        let mut opened_nm2 = covariance_nm2.clone();
+        for &at in left_out {
+            opened_nm2[[at, at]] += OPENED * (self.covariance_nm2[[at, at]] + covariance_nm2[[at, at]]);
+        }
+        self.innovation(z_nm, &opened_nm2)
     }
 
     /// The observation whose innovation this is: with W = L⁻¹·P, x + Wᵀ·L⁻¹·(z − x) and P − Wᵀ·W.

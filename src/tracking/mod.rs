@@ -9,7 +9,9 @@
 //!
 //! whose minimum variance estimate is the Kalman filter ([`Tracker`]; Kalman 1960, J. Basic Eng. 82, 35). Its rates are learnt by
 //! maximum likelihood of the innovations, steps are found by a generalised likelihood ratio at a stated rate of false alarms, and
-//! single bad estimates are rejected. [`correction`] says which modes are worth correcting, and by how much; a tracker recognises from
+//! single bad estimates are rejected. Two things move without being a step, and raise no alarm of the wavefront: the star, which has its own
+//! place in each image ([`TrackerSettings::pointing_modes`], [`Update::pointing`]), and NCPA modes that move more than the others, such as a
+//! focus that breathes, whose motion is learnt for itself. [`correction`] says which modes are worth correcting, and by how much; a tracker recognises from
 //! estimates that a correction was applied ([`Tracker::expect`]).
 
 mod bytes;
@@ -18,6 +20,10 @@ mod coordinates;
 mod correction;
 mod drift_rate;
 mod filter;
+mod mode_motion;
+mod motion;
+mod pointing;
+mod scalar_filter;
 mod settings;
 mod steps;
 mod threshold;
@@ -25,6 +31,7 @@ mod tracker;
 
 pub use crate::scene::SegmentConvention;
 pub use correction::{Correctable, Correction, CorrectionPolicy, Held, HoldReason, correction};
+pub use pointing::PointingChange;
 pub use settings::{Applied, AppliedPart, Change, NIGHT_S, Observation, TrackerSettings, Update, Verdict};
 pub use threshold::change_threshold;
 pub use tracker::Tracker;

@@ -1,7 +1,8 @@
 //! Input and output of a tracker: observations, settings, changes.
 
+use super::pointing::PointingChange;
 use crate::{Error, Result};
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2};
 use std::ops::Range;
 
 /// A night, to which rates of false alarms refer: 8 hours, s.
@@ -16,6 +17,9 @@ pub struct Observation<'a> {
     pub coefficients_nm: ArrayView1<'a, f64>,
     /// Their covariance, nm², `[mode, mode]`; it may be singular, as that of pistons about their mean is.
     pub covariance_nm2: ArrayView2<'a, f64>,
+    /// Where the star was in the image: tip and tilt of the whole pupil, nm RMS, with the pixels by which the image was moved before its
+    /// fit; `None` where that is not known.
+    pub pointing_nm: Option<[f64; 2]>,
 }
 
 /// Settings of a [`Tracker`](super::Tracker).
@@ -25,9 +29,13 @@ pub struct TrackerSettings {
     pub segment_modes: Range<usize>,
     /// Segment of each segment mode.
     pub segment_of_mode: Vec<usize>,
+    /// Pointing in terms of the modes: what 1 nm RMS of tip, and of tilt, of the whole pupil changes of the coefficients,
+    /// `[tip or tilt, mode]`. Each image has a pointing of its own, so that nothing is concluded from the coefficients along these
+    /// directions. No rows where the modes hold no tip and tilt.
+    pub pointing_modes: Array2<f64>,
     /// Drift of a segment mode: standard deviation of its change in an hour, nm; it grows with the root of the time. `None`: learnt.
     pub drift_segments_nm_per_sqrt_hour: Option<f64>,
-    /// The same of an NCPA mode.
+    /// The same of an NCPA mode; where it is learnt, a mode that moves more than the others has a rate of its own.
     pub drift_ncpa_nm_per_sqrt_hour: Option<f64>,
     /// False alarms that are accepted in a night of 8 hours, of all detectors together.
     pub false_alarms_per_night: f64,
@@ -46,6 +54,11 @@ impl TrackerSettings {
                 "segments of {named} modes were given, where there are {modes} segment modes: one segment a mode is needed"
             )));
         }
+        if let Some(nm) = self.pointing_modes.iter().find(|nm| !nm.is_finite()) {
+            return Err(Error::Value(format!(
+                "a mode changes by {nm} with the pointing, where a finite number is needed"
+            )));
+        }
         let rates = [self.drift_segments_nm_per_sqrt_hour, self.drift_ncpa_nm_per_sqrt_hour];
         for rate in rates.into_iter().flatten() {
             if !(rate.is_finite() && rate >= 0.0) {
@@ -60,6 +73,13 @@ impl TrackerSettings {
             Some((what, value)) => Err(Error::Value(format!("{what} {value}, where a positive number is needed"))),
             None => Ok(()),
         }
+    }
+
+    /// False alarms that each detector may raise with one estimate: there is one of each segment mode, one of all modes together, and one of
+    /// the pointing.
+    pub(super) fn false_alarms_per_step(&self) -> f64 {
+        let per_step = self.false_alarms_per_night * self.nominal_interval_s / NIGHT_S;
+        per_step / (self.segment_modes.len() as f64 + 2.0)
     }
 }
 
@@ -96,6 +116,8 @@ pub enum Verdict {
         chi2: f64,
         /// The limit.
         limit: f64,
+        /// The segment that differs most, where one does by more than its own limit.
+        segment: Option<usize>,
     },
 }
 
@@ -147,4 +169,13 @@ pub struct Update {
     pub changes: Vec<Change>,
     /// The correction that it shows to be applied, by which the state was moved.
     pub applied: Option<Applied>,
+    /// A move of the star that it proved; it is no change of the wavefront.
+    pub pointing: Option<PointingChange>,
+}
+
+impl Update {
+    /// An estimate that was used and shows no change.
+    pub(super) fn accepted() -> Self {
+        Self { verdict: Verdict::Accepted, changes: Vec::new(), applied: None, pointing: None }
+    }
 }

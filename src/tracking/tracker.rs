@@ -6,15 +6,15 @@ mod memory_bytes;
 mod recognition;
 
 use super::bytes::{Reader, Writer, damaged};
-use super::drift_rate::DriftRate;
+use super::motion::Motion;
 use super::settings::{Change, Observation, TrackerSettings, Update, Verdict};
 use crate::{Error, Result};
 use expected::Expected;
 use memory::{Compared, MOST_OUTLIERS, Measured, Memory};
-use ndarray::{Array1, Array2, s};
+use ndarray::{Array1, Array2};
 
 /// First bytes of a state, with the version of its format.
-const MAGIC: &[u8; 8] = b"CPTRACK1";
+const MAGIC: &[u8; 8] = b"CPTRACK2";
 
 /// Kalman filter with a detector of changes: estimates in, tracked state and alarms out. See the [module](super).
 ///
@@ -22,7 +22,6 @@ const MAGIC: &[u8; 8] = b"CPTRACK1";
 #[derive(Debug, Clone)]
 pub struct Tracker {
     settings: TrackerSettings,
-    rates: [DriftRate; 2],
     memory: Option<Memory>,
     /// Corrections that may be applied.
     expected: Vec<Expected>,
@@ -35,8 +34,7 @@ impl Tracker {
     /// [`Error::Value`] for a number out of range, [`Error::Shape`] where the segments do not fit the modes.
     pub fn new(settings: TrackerSettings) -> Result<Self> {
         settings.check()?;
-        let rates = [settings.drift_segments_nm_per_sqrt_hour, settings.drift_ncpa_nm_per_sqrt_hour];
-        Ok(Self { settings, rates: rates.map(DriftRate::new), memory: None, expected: Vec::new() })
+        Ok(Self { settings, memory: None, expected: Vec::new() })
     }
 
     /// The settings.
@@ -53,20 +51,28 @@ impl Tracker {
     pub fn update(&mut self, observation: Observation<'_>) -> Result<Update> {
         self.check(&observation)?;
         let Some(memory) = &self.memory else {
-            let memory = Memory::new(&self.settings, &observation)?;
+            let mut memory = Memory::new(&self.settings, &observation)?;
             let first = memory.measure(&observation);
+            memory.learn(&first);
+            let pointing = memory.point(&observation);
             self.memory = Some(memory);
-            self.learn(&first);
-            return Ok(Update { verdict: Verdict::Accepted, changes: Vec::new(), applied: None });
+            return Ok(Update { pointing, ..Update::accepted() });
         };
         let measured = memory.measure(&observation);
         let hours = (measured.time_s - memory.time_s).max(0.0) / 3600.0;
         let mut filter = memory.filter.clone();
-        filter.predict(memory.by_block(self.rates[0].added_nm2(hours), self.rates[1].added_nm2(hours)).into_iter());
+        filter.predict(memory.motion.added_nm2(hours).into_iter());
         // A covariance that is bad is found here, before anything is changed.
         let compared = memory.compare(&filter, &measured)?;
         let memory = self.memory.as_mut().ok_or_else(damaged)?;
         (memory.filter, memory.time_s) = (filter, measured.time_s);
+        // The star is where it is in an image whose wavefront is an outlier, too.
+        let pointing = memory.point(&observation);
+        Ok(Update { pointing, ..self.update_wavefront(measured, compared)? })
+    }
+
+    /// Takes an estimate without its pointing.
+    fn update_wavefront(&mut self, measured: Measured, compared: Compared) -> Result<Update> {
         if let Some(place) = self.weigh(&compared) {
             return self.update_applied(place, measured);
         }
@@ -89,13 +95,9 @@ impl Tracker {
     fn decide(&mut self, measured: Measured, compared: Compared) -> Result<Update> {
         let memory = self.memory.as_mut().ok_or_else(damaged)?;
         if let Some(suspect) = memory.suspect.take() {
-            let hours = (measured.time_s - suspect.time_s).max(0.0) / 3600.0;
-            let [segments, ncpa] = [&self.rates[0], &self.rates[1]].map(|rate| rate.added_nm2(hours));
-            let walk_nm2 = memory.by_block(segments, ncpa);
-            if let Some(changes) = memory.confirm(&suspect, &measured, &compared, &walk_nm2)? {
-                let changes = changes.into_iter().map(|change| self.name(change)).collect();
-                self.learn(&suspect);
-                self.learn(&measured);
+            if let Some(changes) = memory.confirm(&suspect, &measured, &compared)? {
+                memory.learn(&suspect);
+                memory.learn(&measured);
                 return Ok(self.changed(changes));
             }
         }
@@ -103,16 +105,15 @@ impl Tracker {
             memory.outliers += 1;
             if memory.outliers < MOST_OUTLIERS {
                 memory.suspect = Some(measured);
-                let verdict = Verdict::Outlier { chi2, limit };
-                return Ok(Update { verdict, changes: Vec::new(), applied: None });
+                let segment = compared.largest.map(|mode| self.settings.segment_of_mode[mode]);
+                return Ok(Update { verdict: Verdict::Outlier { chi2, limit, segment }, ..Update::accepted() });
             }
             let change = memory.start_again(&measured, &compared)?;
-            self.learn(&measured);
+            memory.learn(&measured);
             return Ok(self.changed(vec![change]));
         }
         let changes = memory.accept(&measured, compared, &mut self.expected)?;
-        let changes = changes.into_iter().map(|change| self.name(change)).collect();
-        self.learn(&measured);
+        memory.learn(&measured);
         Ok(self.changed(changes))
     }
 
@@ -121,7 +122,8 @@ impl Tracker {
         if !changes.is_empty() {
             self.expected.iter_mut().for_each(Expected::restart);
         }
-        Update { verdict: Verdict::Accepted, changes, applied: None }
+        let changes = changes.into_iter().map(|change| self.name(change)).collect();
+        Update { changes, ..Update::accepted() }
     }
 
     /// Tracked coefficients, nm; `None` before the first estimate.
@@ -136,7 +138,16 @@ impl Tracker {
 
     /// Drift of a segment mode and of an NCPA mode, nm/√h: standard deviation of the change of one coefficient in an hour.
     pub fn drift_nm_per_sqrt_hour(&self) -> (f64, f64) {
-        (self.rates[0].nm_per_sqrt_hour(), self.rates[1].nm_per_sqrt_hour())
+        match &self.memory {
+            Some(memory) => memory.motion.nm_per_sqrt_hour(),
+            None => Motion::new(&self.settings, [0; 2]).nm_per_sqrt_hour(),
+        }
+    }
+
+    /// Scatter of the star's pointing about where it is expected, along each axis, nm RMS of tip or tilt; `None` before the second estimate with
+    /// a pointing.
+    pub fn pointing_rms_nm(&self) -> Option<f64> {
+        self.memory.as_ref().and_then(|memory| memory.pointing.rms_nm())
     }
 
     /// The state, from which [`Tracker::from_bytes`] goes on to the same bits.
@@ -147,7 +158,6 @@ impl Tracker {
         writer.number(usize::from(self.memory.is_some()));
         if let Some(memory) = &self.memory {
             memory.write(&mut writer);
-            self.rates.iter().for_each(|rate| rate.write(&mut writer));
             writer.number(self.expected.len());
             self.expected.iter().for_each(|expected| expected.write(&mut writer));
         }
@@ -174,10 +184,12 @@ impl Tracker {
         }
         if reader.number()? == 1 {
             let memory = Memory::read(settings, &mut reader)?;
-            let blocks = [memory.coordinates.of_segments, memory.coordinates.len() - memory.coordinates.of_segments];
-            let given = [settings.drift_segments_nm_per_sqrt_hour, settings.drift_ncpa_nm_per_sqrt_hour];
-            let [segments, ncpa] = [0, 1].map(|at| DriftRate::read(given[at], blocks[at], &mut reader));
-            tracker.rates = [segments?, ncpa?];
+            if !memory.coordinates.are_without(settings.pointing_modes.view()) {
+                return Err(Error::Value(
+                    "the state of a tracker has the pointing in other modes than the settings: the same are needed"
+                        .into(),
+                ));
+            }
             for _ in 0..reader.number()? {
                 tracker.expected.push(Expected::read(memory.coordinates.len(), &mut reader)?);
             }
@@ -195,6 +207,13 @@ impl Tracker {
             let wanted = known.map_or(format!("{} or more", segments.end.max(1)), |known| known.to_string());
             return Err(Error::Shape(format!("an estimate of {modes} modes was given, where {wanted} are needed")));
         }
+        let pointing = &self.settings.pointing_modes;
+        if pointing.nrows() > 0 && pointing.ncols() != modes {
+            let given = pointing.ncols();
+            return Err(Error::Shape(format!(
+                "the pointing is given in {given} modes, where an estimate has {modes}: the same modes are needed"
+            )));
+        }
         if observation.covariance_nm2.dim() != (modes, modes) {
             let (rows, columns) = observation.covariance_nm2.dim();
             return Err(Error::Shape(format!(
@@ -202,24 +221,13 @@ impl Tracker {
             )));
         }
         let numbers = observation.coefficients_nm.iter().chain(&observation.covariance_nm2);
+        let numbers = numbers.chain(observation.pointing_nm.iter().flatten());
         match numbers.chain([&observation.time_s]).find(|value| !value.is_finite()) {
             Some(value) => {
                 Err(Error::Value(format!("an estimate has the number {value}, where finite ones are needed")))
             }
             None => Ok(()),
         }
-    }
-
-    /// Gives the banks of rates an accepted observation.
-    fn learn(&mut self, measured: &Measured) {
-        let Some(memory) = &mut self.memory else { return };
-        let hours = (measured.time_s - memory.learnt_s).max(0.0) / 3600.0;
-        memory.learnt_s = measured.time_s;
-        let (z_nm, variances_nm2) = (&measured.z_nm - &memory.stepped_nm, measured.covariance_nm2.diag());
-        let at = memory.coordinates.of_segments;
-        let [segments, ncpa] = &mut self.rates;
-        segments.learn(z_nm.slice(s![..at]), variances_nm2.slice(s![..at]), hours);
-        ncpa.learn(z_nm.slice(s![at..]), variances_nm2.slice(s![at..]), hours);
     }
 
     /// Turns the number of a segment mode into the mode and its segment.

@@ -52,7 +52,8 @@ pub fn write(path: &Path, model: &Model, store: &Store, frame: &Frame, step: &mu
     corrections.write(path)?;
     step.expect(number, &change_nm)?;
     let sentence = format!("correction {number} was written to {}: {}", path.display(), corrections.summary());
-    step.events.push(Event::now("correction", sentence));
+    // Of the frame, as all events of a frame are.
+    step.events.push(Event { time_s: frame.observed_s, ..Event::now("correction", sentence) });
     let fitted = model.estimator.fitter().model();
     Ok(Some(Correction {
         number,

@@ -52,8 +52,8 @@ const VECTORS: [Vector; 4] = [
 
 fn write_csv(output: &Path, about: &About, frames: &[StoredFrame]) -> Result<()> {
     let mut text = String::from(
-        "frame,name,image,observed,observed_s,status,reason,fit,reduced_chi2,flux_e,background_e,phasing_rms_nm,ncpa_rms_nm,latency_s,\
-         warnings",
+        "frame,name,image,observed,observed_s,status,reason,fit,reduced_chi2,flux_e,background_e,phasing_rms_nm,ncpa_rms_nm,pointing_x_pixels,\
+         pointing_y_pixels,latency_s,warnings",
     );
     for (suffix, _) in VECTORS {
         for mode in &about.modes {
@@ -77,6 +77,8 @@ fn write_csv(output: &Path, about: &About, frames: &[StoredFrame]) -> Result<()>
             number(frame.background_e),
             number(frame.phasing_rms_nm),
             number(frame.ncpa_rms_nm),
+            number(frame.pointing_x_pixels),
+            number(frame.pointing_y_pixels),
             number(frame.latency_s),
             quoted(&frame.warnings.join("; ")),
         ];
@@ -119,6 +121,8 @@ fn write_fits(output: &Path, about: &About, frames: &[StoredFrame], reader: &Rea
             Column::f64("FLUX", cophase::io::ELECTRON, real(|frame| frame.flux_e)),
             Column::f64("PHASING", "nm", real(|frame| frame.phasing_rms_nm)),
             Column::f64("NCPA", "nm", real(|frame| frame.ncpa_rms_nm)),
+            Column::f64("POINTING_X", "pixel", real(|frame| frame.pointing_x_pixels)),
+            Column::f64("POINTING_Y", "pixel", real(|frame| frame.pointing_y_pixels)),
             Column::f64("LATENCY", "s", real(|frame| frame.latency_s)),
             Column::text("WARNINGS", frames.iter().map(|frame| frame.warnings.join("; "))),
         ],

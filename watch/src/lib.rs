@@ -17,6 +17,7 @@ mod live;
 mod log;
 mod model;
 mod page;
+mod pointing;
 mod report;
 mod service;
 mod source;

@@ -1,6 +1,7 @@
 //! The report of a night as one HTML file: what is wrong first, then what was measured.
 
 use crate::clock;
+use crate::pointing;
 use crate::store::{About, Reader, StoredCorrection, StoredFrame};
 use cophase::Result;
 use cophase::io::write_atomically;
@@ -9,7 +10,7 @@ use serde_json::Value;
 use std::path::Path;
 
 /// Kinds of events that a person must see.
-const ALARMS: [&str; 3] = ["segment", "wavefront", "disk"];
+const ALARMS: [&str; 4] = ["segment", "wavefront", "pointing", "disk"];
 /// Points of a curve: what a screen shows. A longer night is thinned.
 const MOST_POINTS: usize = 2000;
 
@@ -43,10 +44,11 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
         .iter()
         .map(|frame| {
             let reason = frame.reason.clone().unwrap_or_default();
-            vec![time(frame.observed_s), name(frame), reason]
+            vec![time(frame.observed_s), name(frame), frame.fit.clone().unwrap_or_default(), reason]
         })
         .collect();
-    sections.push(html::section("Refused frames", &html::table(&["time", "frame", "reason"], 3, &rows, "None.")));
+    sections
+        .push(html::section("Refused frames", &html::table(&["time", "frame", "fit", "reason"], 4, &rows, "None.")));
     sections.push(html::section("Settings", &html::folded("The scene", &about.scene)));
     let title = state.file_name().unwrap_or(state.as_os_str()).to_string_lossy();
     write_atomically(output, html::page(&format!("Night watch {title}"), &sections).as_bytes())
@@ -66,6 +68,8 @@ fn figures(about: &About, done: &[&StoredFrame], refused: usize, corrections: us
     let observed = |frame: Option<&&StoredFrame>| frame.map_or("–".into(), |frame| time(frame.observed_s));
     let last = |value: fn(&StoredFrame) -> Option<f64>| done.last().and_then(|frame| value(frame));
     let nm = |value: Option<f64>| value.map_or("–".into(), |nm| format!("{nm:.2} nm RMS"));
+    let pointing = pointing::rms_pixels(done.iter().copied());
+    let pointing = pointing.map_or("–".into(), |pixels| format!("{pixels:.3} pixels RMS"));
     html::figures(&[
         ("frames with an estimate", done.len().to_string()),
         ("frames refused", refused.to_string()),
@@ -74,6 +78,7 @@ fn figures(about: &About, done: &[&StoredFrame], refused: usize, corrections: us
         ("last frame", observed(done.last())),
         ("phasing of the last frame", nm(last(|frame| frame.phasing_rms_nm))),
         ("NCPA of the last frame", nm(last(|frame| frame.ncpa_rms_nm))),
+        ("pointing", pointing),
         ("policy", about.policy.clone()),
         ("source", about.source.clone()),
     ])
@@ -128,6 +133,8 @@ fn trends(done: &[&StoredFrame]) -> String {
         trend("NCPA of single frames, nm RMS", |frame| frame.ncpa_rms_nm),
         trend("Reduced χ²", |frame| frame.chi2),
         trend("Flux, electrons", |frame| frame.flux_e),
+        trend("Pointing along x, pixels", |frame| frame.pointing_x_pixels),
+        trend("Pointing along y, pixels", |frame| frame.pointing_y_pixels),
     ];
     if step > 1 {
         figures.push(format!("<p class=\"none\">Every {step}th frame is shown.</p>"));

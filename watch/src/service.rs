@@ -65,7 +65,10 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
     if let Some(sentence) = store.incomplete() {
         terminal.warn(&format!("{}: {sentence}", settings.state.display()));
     }
-    let tracking = Tracking::new(model.estimator.fitter().model(), &settings.tracking, store.tracker()?.as_deref())?;
+    let tracking = Tracking::new(model.estimator.fitter(), &settings.tracking, store.tracker()?.as_deref())?;
+    if let Some(warning) = tracking.warning() {
+        terminal.warn(&warning);
+    }
     let mut source = match &place {
         Place::Folder(folder) => {
             Source::Folder(Box::new(Folder::new(folder, &store.files()?, settings.poll, settings.settle)))

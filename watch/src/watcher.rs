@@ -243,7 +243,8 @@ impl Watcher<'_> {
             let model = self.model.estimator.fitter().model();
             frame.phasing_rms_nm = rms_nm(model, &estimate.coefficients_nm, Group::Segment)?;
             frame.ncpa_rms_nm = rms_nm(model, &estimate.coefficients_nm, Group::Ncpa)?;
-            frame.coefficients_nm.clone_from(&estimate.coefficients_nm);
+            frame.coefficients_nm = self.tracking.without_pointing(&estimate.coefficients_nm);
+            frame.pointing_pixels = self.tracking.pointing_pixels(estimate);
             frame.sigma_nm = estimate.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect();
         }
         let mut step = None;
@@ -286,7 +287,7 @@ impl Watcher<'_> {
                     json!({
                         "frame": id, "name": frame.name, "image": frame.image, "observed_s": frame.observed_s,
                         "phasing_rms_nm": frame.phasing_rms_nm, "ncpa_rms_nm": frame.ncpa_rms_nm,
-                        "reduced_chi2": frame.chi2, "latency_s": frame.latency_s, "warnings": frame.warnings,
+                        "reduced_chi2": frame.chi2, "pointing_pixels": frame.pointing_pixels, "latency_s": frame.latency_s, "warnings": frame.warnings,
                     }),
                 );
             }

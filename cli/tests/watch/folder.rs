@@ -29,13 +29,18 @@ fn watch_takes_each_file_once_and_agrees_with_an_estimate() {
     // A session makes the fit that the library's session makes: the modes of the scene, of the same image.
     let scene = cophase::scene::Scene::from_file(desk.path("scene.toml")).unwrap();
     let fitter = std::sync::Arc::new(cophase::modal::ModalFitter::new(&scene, false).unwrap());
+    let pointing = fitter.pointing().unwrap();
     let mut session = cophase::modal::Session::new(fitter, &Default::default()).unwrap();
     let image = FitsReader::open(made(&desk, 1)).unwrap().cube("IMAGES").unwrap();
     session.frame_mut(0).unwrap().0.assign(&image.index_axis(ndarray::Axis(0), 0));
     session.frame_mut(0).unwrap().1.fill(false);
     let options = cophase::modal::FitOptions { read_noise_e: Some(20.0), ..Default::default() };
     session.fit(1, &options).unwrap();
-    let bytes: Vec<u8> = session.results()[0].coefficients_nm.iter().flat_map(|nm| nm.to_le_bytes()).collect();
+    // Without the pointing, which is tip and tilt alone.
+    let fitted_nm = &session.results()[0].coefficients_nm;
+    let wavefront_nm = pointing.removed_from(fitted_nm);
+    assert_eq!(wavefront_nm.iter().zip(fitted_nm).filter(|(left, fitted)| left != fitted).count(), 2);
+    let bytes: Vec<u8> = wavefront_nm.iter().flat_map(|nm| nm.to_le_bytes()).collect();
     assert_eq!(second[1].coefficients.as_ref(), Some(&bytes));
 }
 

@@ -9,6 +9,7 @@ mod faults;
 mod folder;
 mod night;
 mod page;
+mod pointing;
 mod stream;
 
 use common::*;

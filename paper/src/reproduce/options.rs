@@ -17,7 +17,8 @@ pub struct Options {
     pub quick: bool,
     /// The telescope behind the loop.
     pub segments: Segments,
-    /// Rows of `Target::Beyond` or `Target::Pyramid`, cases of `Target::HardCases`, or parts of names of rows of `Target::Pulls`; none are all.
+    /// Rows of `Target::Beyond` or `Target::Pyramid`, cases of `Target::HardCases`, or parts of names of rows of `Target::Pulls` or
+    /// `Target::MovingStar`; none are all.
     pub rows: Vec<String>,
     /// Folder of measured maps of NCPA, each of which is a row of `Target::Beyond`.
     pub maps: Option<PathBuf>,

@@ -9,6 +9,7 @@ mod command_line;
 mod desk;
 mod leak;
 mod metrics;
+mod moving_star;
 mod night_table;
 mod pages;
 mod paper;

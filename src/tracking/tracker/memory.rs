@@ -5,7 +5,9 @@ use crate::Result;
 use crate::tracking::change_detector::{Alarm, ChangeDetector};
 use crate::tracking::coordinates::Coordinates;
 use crate::tracking::filter::{Filter, Innovation};
-use crate::tracking::settings::{Change, NIGHT_S, Observation, TrackerSettings};
+use crate::tracking::motion::Motion;
+use crate::tracking::pointing::{Pointing, PointingChange};
+use crate::tracking::settings::{Change, Observation, TrackerSettings};
 use crate::tracking::steps::{Step, attribute, most_likely_step};
 use crate::tracking::threshold::chi2_limit;
 use ndarray::{Array1, Array2};
@@ -27,6 +29,8 @@ pub(super) struct Memory {
     pub(super) steps: Array2<f64>,
     pub(super) filter: Filter,
     pub(super) detector: ChangeDetector,
+    pub(super) motion: Motion,
+    pub(super) pointing: Pointing,
     /// Time of the last observation, s, accepted or not, and of the last accepted one.
     pub(super) time_s: f64,
     pub(super) learnt_s: f64,
@@ -46,32 +50,55 @@ pub(super) struct Measured {
 
 /// An innovation with what follows from it.
 pub(super) struct Compared {
+    /// Of all coordinates, which the filter uses.
     pub(super) innovation: Innovation,
-    /// Steps, white.
+    /// The same without what unsteady modes do by themselves, which is tested; `None` where there are none.
+    without_unsteady: Option<Innovation>,
+    /// Steps, white in terms of what is tested.
     pub(super) white_steps: Array2<f64>,
     /// Statistic and limit that were exceeded, if they were.
     pub(super) outlier: Option<(f64, f64)>,
+    /// The segment mode that differs most, where it does by more than its limit.
+    pub(super) largest: Option<usize>,
+}
+
+impl Compared {
+    /// The innovation in which changes are looked for.
+    pub(super) fn tested(&self) -> &Innovation {
+        self.without_unsteady.as_ref().unwrap_or(&self.innovation)
+    }
 }
 
 impl Memory {
     pub(super) fn new(settings: &TrackerSettings, observation: &Observation<'_>) -> Result<Self> {
-        let coordinates = Coordinates::new(observation.covariance_nm2, &settings.segment_modes)?;
+        let coordinates =
+            Coordinates::new(observation.covariance_nm2, &settings.segment_modes, settings.pointing_modes.view())?;
         let z_nm = coordinates.reduce(observation.coefficients_nm);
         let filter = Filter::new(z_nm, coordinates.reduce_covariance(observation.covariance_nm2));
-        Ok(Self::with(settings, coordinates, filter, [observation.time_s; 2]))
+        let motion = Motion::new(settings, coordinates.sizes());
+        Ok(Self::with(settings, coordinates, filter, motion, [observation.time_s; 2]))
     }
 
     pub(super) fn with(
         settings: &TrackerSettings,
         coordinates: Coordinates,
         filter: Filter,
+        motion: Motion,
         [time_s, learnt_s]: [f64; 2],
     ) -> Self {
-        let steps = coordinates.steps(&settings.segment_modes);
-        let per_step = settings.false_alarms_per_night * settings.nominal_interval_s / NIGHT_S;
-        let detector = ChangeDetector::new(steps.ncols(), coordinates.len(), per_step);
-        let stepped_nm = Array1::zeros(coordinates.len());
-        Self { coordinates, steps, filter, detector, time_s, learnt_s, stepped_nm, suspect: None, outliers: 0 }
+        Self {
+            steps: coordinates.steps(&settings.segment_modes),
+            detector: ChangeDetector::new(coordinates.len(), settings.false_alarms_per_step()),
+            pointing: Pointing::new(settings.false_alarms_per_step()),
+            stepped_nm: Array1::zeros(coordinates.len()),
+            coordinates,
+            filter,
+            motion,
+            time_s,
+            learnt_s,
+            suspect: None,
+            outliers: 0,
+        }
     }
 
     pub(super) fn measure(&self, observation: &Observation<'_>) -> Measured {
@@ -82,23 +109,28 @@ impl Memory {
         }
     }
 
-    /// A value for each coordinate: that of its block.
-    pub(super) fn by_block(&self, segments: f64, ncpa: f64) -> Array1<f64> {
-        let at = self.coordinates.of_segments;
-        (0..self.coordinates.len()).map(|coordinate| if coordinate < at { segments } else { ncpa }).collect()
-    }
-
     /// An observation beside what `filter` predicts.
     pub(super) fn compare(&self, filter: &Filter, measured: &Measured) -> Result<Compared> {
-        let innovation = filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
-        let white_steps = innovation.whiten(&self.steps);
-        let chi2 = innovation.chi2();
-        let limit = outlier_limit(self.coordinates.len());
+        let covariance_nm2 = plus_diagonal(&measured.covariance_nm2, &self.motion.white_nm2());
+        let innovation = filter.innovation(&measured.z_nm, &covariance_nm2)?;
+        let unsteady = self.motion.unsteady();
+        let without_unsteady = (!unsteady.is_empty())
+            .then(|| filter.innovation_without(&measured.z_nm, &covariance_nm2, &unsteady))
+            .transpose()?;
+        let tested = without_unsteady.as_ref().unwrap_or(&innovation);
+        let white_steps = tested.whiten(&self.steps);
+        let (chi2, limit) = (tested.chi2(), self.outlier_limit());
         let mut outlier = (chi2 > limit).then_some((chi2, limit));
         let mode_limit = self.detector.mode_threshold;
-        let largest = most_likely_step(&innovation, &white_steps).filter(|step| step.statistic > mode_limit);
+        let largest = most_likely_step(tested, &white_steps).filter(|step| step.statistic > mode_limit);
         outlier = outlier.or(largest.map(|step| (step.statistic, mode_limit)));
-        Ok(Compared { innovation, white_steps, outlier })
+        let largest = largest.map(|step| step.mode);
+        Ok(Compared { innovation, without_unsteady, white_steps, outlier, largest })
+    }
+
+    /// χ² of an outlier in the coordinates that are tested.
+    pub(super) fn outlier_limit(&self) -> f64 {
+        chi2_limit((self.coordinates.len() - self.motion.unsteady().len()).max(1), OUTLIER_Z)
     }
 
     /// The changes that `suspect` and the next observation show together, where they do; both are then used. Modes are numbers of segment
@@ -108,12 +140,13 @@ impl Memory {
         suspect: &Measured,
         next: &Measured,
         compared: &Compared,
-        walk_nm2: &Array1<f64>,
     ) -> Result<Option<Vec<Change>>> {
         // The mean of the two, and how it differs from the state.
+        let (white_nm2, unsteady) = (self.motion.white_nm2(), self.motion.unsteady());
         let mean_nm = (&suspect.z_nm + &next.z_nm) * 0.5;
-        let mean_covariance_nm2 = (&suspect.covariance_nm2 + &next.covariance_nm2) * 0.25;
-        let difference = self.filter.innovation(&mean_nm, &mean_covariance_nm2)?;
+        let mean_covariance_nm2 =
+            plus_diagonal(&((&suspect.covariance_nm2 + &next.covariance_nm2) * 0.25), &(&white_nm2 * 0.5));
+        let difference = self.filter.innovation_without(&mean_nm, &mean_covariance_nm2, &unsteady)?;
         let white_steps = difference.whiten(&self.steps);
         let threshold = self.detector.mode_threshold;
         let mut attribution = attribute(&difference, &white_steps, threshold);
@@ -121,33 +154,25 @@ impl Memory {
             [] => false,
             [first, ..] => {
                 let white_step = compared.white_steps.column(first.mode);
-                let alone = white_step.dot(&compared.innovation.white) / white_step.dot(&white_step).sqrt();
+                let alone = white_step.dot(&compared.tested().white) / white_step.dot(&white_step).sqrt();
                 alone * first.size_nm.signum() > CONFIRMING_CHI2.sqrt()
             }
         };
-        let agrees = || -> Result<bool> {
-            let mut covariance_nm2 = suspect.covariance_nm2.clone();
-            covariance_nm2.diag_mut().iter_mut().zip(walk_nm2).for_each(|(variance, walk)| *variance += walk);
-            let pair = Filter::new(suspect.z_nm.clone(), covariance_nm2);
-            let chi2 = pair.innovation(&next.z_nm, &next.covariance_nm2)?.chi2();
-            Ok(chi2 < outlier_limit(self.coordinates.len()))
-        };
-        if !agrees()? || !(is_named || compared.outlier.is_some()) {
+        let limit = self.outlier_limit();
+        if !self.agree(suspect, next)? || !(is_named || compared.outlier.is_some()) {
             return Ok(None);
         }
-        let limit = outlier_limit(self.coordinates.len());
         let times_s = [suspect.time_s, next.time_s];
         let changes = if attribution.rest_chi2 < limit && !attribution.steps.is_empty() {
             attribution.steps.drain(..).map(|step| self.follow(step, times_s)).collect()
         } else {
-            let moved_nm = &mean_nm - &self.filter.state_nm;
-            let error_nm = (&self.filter.covariance_nm2 + &mean_covariance_nm2).diag().sum().sqrt();
-            self.filter.open_all((OPENING * error_nm).powi(2));
+            let [size_nm, size_error_nm] = self.moved_nm(&mean_nm, &mean_covariance_nm2);
+            self.filter.open_all((OPENING * size_error_nm).powi(2));
             vec![Change {
                 segment: None,
                 mode: None,
-                size_nm: moved_nm.dot(&moved_nm).sqrt(),
-                size_error_nm: error_nm,
+                size_nm,
+                size_error_nm,
                 since_s: suspect.time_s,
                 detected_s: next.time_s,
                 statistic: difference.chi2(),
@@ -155,12 +180,35 @@ impl Memory {
             }]
         };
         for measured in [suspect, next] {
-            let innovation = self.filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
+            let covariance_nm2 = plus_diagonal(&measured.covariance_nm2, &white_nm2);
+            let innovation = self.filter.innovation(&measured.z_nm, &covariance_nm2)?;
             self.filter.update(&innovation);
         }
         self.detector.reset();
         self.outliers = 0;
         Ok(Some(changes))
+    }
+
+    /// Whether two observations, one after the other, are of the same wavefront.
+    fn agree(&self, suspect: &Measured, next: &Measured) -> Result<bool> {
+        let (white_nm2, unsteady) = (self.motion.white_nm2(), self.motion.unsteady());
+        let walk_nm2 = self.motion.added_nm2((next.time_s - suspect.time_s).max(0.0) / 3600.0);
+        let first_nm2 = plus_diagonal(&suspect.covariance_nm2, &(&white_nm2 + &walk_nm2));
+        let pair = Filter::new(suspect.z_nm.clone(), first_nm2);
+        let next_nm2 = plus_diagonal(&next.covariance_nm2, &white_nm2);
+        let chi2 = pair.innovation_without(&next.z_nm, &next_nm2, &unsteady)?.chi2();
+        Ok(chi2 < self.outlier_limit())
+    }
+
+    /// Root of the sum of the squares by which `z_nm` differs from the state in the coordinates that are tested, and its error bar.
+    fn moved_nm(&self, z_nm: &Array1<f64>, covariance_nm2: &Array2<f64>) -> [f64; 2] {
+        let unsteady = self.motion.unsteady();
+        let (mut moved_nm2, mut error_nm2) = (0.0, 0.0);
+        for at in (0..z_nm.len()).filter(|at| !unsteady.contains(at)) {
+            moved_nm2 += (z_nm[at] - self.filter.state_nm[at]).powi(2);
+            error_nm2 += self.filter.covariance_nm2[[at, at]] + covariance_nm2[[at, at]];
+        }
+        [moved_nm2.sqrt(), error_nm2.sqrt()]
     }
 
     /// Uses an observation, and looks for changes in the window that ends with it; corrections follow the state.
@@ -171,7 +219,9 @@ impl Memory {
         expected: &mut [Expected],
     ) -> Result<Vec<Change>> {
         self.outliers = 0;
+        let tested = compared.tested().white.clone();
         let Compared { mut innovation, white_steps, .. } = compared;
+        self.detector.look_in(self.coordinates.len() - self.motion.unsteady().len());
         let before = self.filter.clone();
         let whitened_gain = self.filter.update(&innovation);
         expected.iter_mut().for_each(|expected| expected.follow(&innovation, &whitened_gain));
@@ -179,7 +229,7 @@ impl Memory {
             (&covariance_nm2.dot(&self.steps) * &self.steps).sum_axis(ndarray::Axis(0))
         };
         let gain = 1.0 - along(&self.filter.covariance_nm2) / along(&before.covariance_nm2);
-        self.detector.push(measured.time_s, innovation.white.clone(), &white_steps, gain);
+        self.detector.push(measured.time_s, tested, &white_steps, gain);
         let Some((alarm, since_s)) = self.detector.alarm() else { return Ok(Vec::new()) };
         self.filter = before;
         let times_s = [since_s, measured.time_s];
@@ -192,7 +242,8 @@ impl Memory {
                 Change { segment: None, mode: None, size_nm, size_error_nm, since_s, detected_s, statistic, threshold }
             }
         };
-        innovation = self.filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
+        let covariance_nm2 = plus_diagonal(&measured.covariance_nm2, &self.motion.white_nm2());
+        innovation = self.filter.innovation(&measured.z_nm, &covariance_nm2)?;
         self.filter.update(&innovation);
         self.detector.reset();
         Ok(vec![change])
@@ -210,25 +261,40 @@ impl Memory {
 
     /// Takes an observation for the state, after more outliers than a disturbance has.
     pub(super) fn start_again(&mut self, measured: &Measured, compared: &Compared) -> Result<Change> {
-        let moved_nm = &measured.z_nm - &self.filter.state_nm;
-        let error_nm = (&self.filter.covariance_nm2 + &measured.covariance_nm2).diag().sum().sqrt();
-        self.filter = Filter::new(measured.z_nm.clone(), measured.covariance_nm2.clone());
+        let covariance_nm2 = plus_diagonal(&measured.covariance_nm2, &self.motion.white_nm2());
+        let [size_nm, size_error_nm] = self.moved_nm(&measured.z_nm, &covariance_nm2);
+        self.filter = Filter::new(measured.z_nm.clone(), covariance_nm2);
         self.detector.reset();
         self.outliers = 0;
         Ok(Change {
             segment: None,
             mode: None,
-            size_nm: moved_nm.dot(&moved_nm).sqrt(),
-            size_error_nm: error_nm,
+            size_nm,
+            size_error_nm,
             since_s: measured.time_s,
             detected_s: measured.time_s,
-            statistic: compared.innovation.chi2(),
-            threshold: outlier_limit(self.coordinates.len()),
+            statistic: compared.tested().chi2(),
+            threshold: self.outlier_limit(),
         })
+    }
+
+    /// Follows the star; a move that this observation proves.
+    pub(super) fn point(&mut self, observation: &Observation<'_>) -> Option<PointingChange> {
+        observation.pointing_nm.and_then(|place_nm| self.pointing.update(observation.time_s, place_nm))
+    }
+
+    /// Learns the motion from an accepted observation.
+    pub(super) fn learn(&mut self, measured: &Measured) {
+        let hours = (measured.time_s - self.learnt_s).max(0.0) / 3600.0;
+        self.learnt_s = measured.time_s;
+        let z_nm = &measured.z_nm - &self.stepped_nm;
+        self.motion.learn(&z_nm, &measured.covariance_nm2.diag().to_owned(), hours);
     }
 }
 
-/// χ² of an outlier of so many coordinates.
-pub(super) fn outlier_limit(coordinates: usize) -> f64 {
-    chi2_limit(coordinates, OUTLIER_Z)
+/// `matrix` with `more` on its diagonal.
+fn plus_diagonal(matrix: &Array2<f64>, more: &Array1<f64>) -> Array2<f64> {
+    let mut sum = matrix.clone();
+    sum.diag_mut().zip_mut_with(more, |value, more| *value += more);
+    sum
 }

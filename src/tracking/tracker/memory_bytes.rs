@@ -6,11 +6,14 @@ use crate::tracking::TrackerSettings;
 use crate::tracking::bytes::{Reader, Writer, damaged};
 use crate::tracking::coordinates::Coordinates;
 use crate::tracking::filter::Filter;
+use crate::tracking::motion::Motion;
 
 impl Memory {
     pub(super) fn write(&self, writer: &mut Writer) {
         self.coordinates.write(writer);
         self.filter.write(writer);
+        self.motion.write(writer);
+        self.pointing.write(writer);
         writer.real(self.time_s);
         writer.real(self.learnt_s);
         writer.vector(self.stepped_nm.iter());
@@ -32,8 +35,10 @@ impl Memory {
         if !fits || coordinates.of_segments > size || settings.segment_modes.end > coordinates.modes() {
             return Err(damaged());
         }
-        let times_s = [reader.real()?, reader.real()?];
-        let mut memory = Self::with(settings, coordinates, filter, times_s);
+        let motion = Motion::read(settings, coordinates.sizes(), reader)?;
+        let mut memory = Self::with(settings, coordinates, filter, motion, [0.0; 2]);
+        memory.pointing.read(reader)?;
+        (memory.time_s, memory.learnt_s) = (reader.real()?, reader.real()?);
         memory.stepped_nm = reader.vector()?;
         memory.outliers = reader.number()?;
         if reader.number()? == 1 {

@@ -2,7 +2,7 @@
 
 use super::Tracker;
 use super::expected::{ACTUATOR_ERROR, Expected};
-use super::memory::{Compared, Measured, Memory, outlier_limit};
+use super::memory::{Compared, Measured, Memory};
 use crate::tracking::bytes::damaged;
 use crate::tracking::settings::{Applied, AppliedPart, Change, NIGHT_S, Update};
 use crate::{Error, Result};
@@ -66,8 +66,8 @@ impl Tracker {
 
     /// Weighs an estimate for all corrections; the place of the one that it shows to be applied.
     pub(super) fn weigh(&mut self, compared: &Compared) -> Option<usize> {
-        let limit = outlier_limit(compared.innovation.white.len());
-        self.expected.iter_mut().for_each(|expected| expected.weigh(&compared.innovation, limit));
+        let limit = self.memory.as_ref().map_or(f64::INFINITY, Memory::outlier_limit);
+        self.expected.iter_mut().for_each(|expected| expected.weigh(compared.tested(), limit));
         let threshold = self.applied_threshold();
         self.likeliest().filter(|&place| self.expected[place].log_ratio > threshold)
     }

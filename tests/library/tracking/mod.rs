@@ -2,6 +2,7 @@
 
 mod applied;
 mod corrections;
+mod pointing;
 mod walk;
 
 use cophase::Error;
@@ -178,7 +179,7 @@ fn an_outlier_leaves_the_state_and_a_shift_of_all_is_a_change() {
     let other_bad: Array1<f64> = bad.iter().rev().map(|nm| -3.0 * nm).collect();
     for (time_s, seen_nm) in [(20.0, &bad), (21.0, &other_bad)] {
         let update = tracker.update(walk.observation(time_s, seen_nm)).unwrap();
-        assert!(matches!(update.verdict, Verdict::Outlier { chi2, limit } if chi2 > limit), "{update:?}");
+        assert!(matches!(update.verdict, Verdict::Outlier { chi2, limit, .. } if chi2 > limit), "{update:?}");
         assert_eq!(tracker.coefficients_nm().unwrap(), before);
     }
     let update = tracker.update(walk.observation(22.0, &still)).unwrap();
@@ -262,7 +263,8 @@ fn odd_times_and_bad_input_do_no_harm() {
         (0.0, &still, &Array2::zeros((8, 8))),
     ] {
         let (coefficients_nm, covariance_nm2) = (seen_nm.view(), covariance_nm2.view());
-        assert!(tracker.update(Observation { time_s, coefficients_nm, covariance_nm2 }).is_err());
+        let pointing_nm = None;
+        assert!(tracker.update(Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm }).is_err());
         assert_eq!(tracker.to_bytes(), before);
     }
     for bad in [

@@ -14,6 +14,7 @@ pub fn settings(segments: usize, false_alarms_per_night: f64) -> TrackerSettings
     TrackerSettings {
         segment_modes: 0..segments,
         segment_of_mode: (0..segments).collect(),
+        pointing_modes: Array2::zeros((0, 0)),
         drift_segments_nm_per_sqrt_hour: None,
         drift_ncpa_nm_per_sqrt_hour: None,
         false_alarms_per_night,
@@ -96,6 +97,6 @@ impl Walk {
 
     pub fn observation<'a>(&'a self, time_s: f64, coefficients_nm: &'a Array1<f64>) -> Observation<'a> {
         let (coefficients_nm, covariance_nm2) = (coefficients_nm.view(), self.covariance_nm2.view());
-        Observation { time_s, coefficients_nm, covariance_nm2 }
+        Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm: None }
     }
 }

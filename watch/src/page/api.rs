@@ -2,6 +2,7 @@
 
 use crate::clock;
 use crate::live::Live;
+use crate::pointing;
 use crate::store::{About, Columns, Reader, StoredFrame};
 use cophase::modal::ModalFitter;
 use cophase::modes::Group;
@@ -34,6 +35,7 @@ impl Api {
         let minute = last.iter().filter(|frame| now_s - frame.taken_s < 60.0).count();
         let mut latencies: Vec<f64> = last.iter().filter_map(|frame| frame.latency_s).collect();
         latencies.sort_by(f64::total_cmp);
+        let pointing_rms = pointing::rms_pixels(&last);
         let span_s = last.first().zip(last.last()).map(|(first, last)| last.taken_s - first.taken_s);
         Ok(json!({
             "now_s": now_s,
@@ -46,6 +48,7 @@ impl Api {
             "frames_last_minute": minute,
             "frames_per_s": span_s.filter(|span_s| *span_s > 0.0).map(|span_s| (last.len() - 1) as f64 / span_s),
             "latency_s": latencies.get(latencies.len() / 2),
+            "pointing_rms_pixels": pointing_rms,
             "last_frame": last.last(),
         }))
     }
@@ -95,6 +98,8 @@ impl Api {
             "ncpa_rms_nm": column(|frame| frame.ncpa_rms_nm),
             "reduced_chi2": column(|frame| frame.chi2),
             "flux_e": column(|frame| frame.flux_e),
+            "pointing_x_pixels": column(|frame| frame.pointing_x_pixels),
+            "pointing_y_pixels": column(|frame| frame.pointing_y_pixels),
             "latency_s": column(|frame| frame.latency_s),
         }))
     }
@@ -136,11 +141,13 @@ impl Api {
         }))
     }
 
-    /// Map of the NCPA of the newest frame, tracked where they are tracked.
+    /// Map of the NCPA of the newest frame, tracked where they are tracked, without tip and tilt, which are pointing.
     pub fn ncpa(&self) -> Result<Value> {
         let Some(frame) = self.newest()? else { return Ok(json!({ "frame": null, "nm": [] })) };
         let coefficients_nm = if frame.tracked_nm.is_empty() { &frame.coefficients_nm } else { &frame.tracked_nm };
-        let map_nm = self.fitter.model().map_nm(coefficients_nm, Group::Ncpa);
+        let model = self.fitter.model();
+        // The coefficients hold no plane of the whole pupil; of modes that are not orthogonal to it a slope is left.
+        let map_nm = model.telescope.pupil.remove_piston_tip_tilt(model.map_nm(coefficients_nm, Group::Ncpa).view())?;
         Ok(json!({ "frame": frame.id, "nm": rows(map_nm.view(), MAP_SIDE) }))
     }
 

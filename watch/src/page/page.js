@@ -38,9 +38,10 @@ function showStatus(status) {
     figure("refused", String(status.counts.refused)),
     figure("last minute", `${status.frames_last_minute} frames`),
     figure("latency", status.latency_s === null || status.latency_s === undefined ? "–" : `${number(status.latency_s)} s`),
-    figure("last frame", last ? `${clock(last.taken_s)} UTC` : "none yet"),
+    figure("last frame", last ? `${clock(last.observed_s)} UTC` : "none yet"),
     figure("phasing", newest ? `${number(newest.phasing_rms_nm)} nm` : "–"),
     figure("NCPA", newest ? `${number(newest.ncpa_rms_nm)} nm` : "–"),
+    figure("pointing", status.pointing_rms_pixels === null || status.pointing_rms_pixels === undefined ? "–" : `${number(status.pointing_rms_pixels)} pixels RMS`),
     figure("reduced χ²", newest ? number(newest.chi2) : "–"),
   );
 }
@@ -136,14 +137,21 @@ async function update() {
   showMirror();
   await showSegment();
   showMaps(ncpa, image);
-  for (const [name, key] of [["phasing", "phasing_rms_nm"], ["ncpa", "ncpa_rms_nm"], ["chi2", "reduced_chi2"], ["flux", "flux_e"]]) {
+  for (const [name, key] of [["phasing", "phasing_rms_nm"], ["ncpa", "ncpa_rms_nm"], ["chi2", "reduced_chi2"], ["flux", "flux_e"],
+    ["pointing-x", "pointing_x_pixels"], ["pointing-y", "pointing_y_pixels"]]) {
     drawCurve(find(`trend-${name}`), { time: trend.time_s, line: trend[key] });
   }
-  const alarms = ["segment", "wavefront", "disk"];
+  const alarms = ["segment", "wavefront", "pointing", "disk"];
   list(find("events"), events.events, "none", (event) => [event.time_s, event.sentence, alarms.includes(event.kind) ? "alarm" : ""]);
   showCorrections(corrections.corrections);
-  list(find("refused"), refused.refused, "none", (frame) => [frame.taken_s, `${frame.name}: ${frame.reason}`, ""]);
+  list(find("refused"), refused.refused, "none", (frame) => [frame.observed_s, `${label(frame)}: ${frame.reason}`, ""]);
   document.body.dataset.frames = status.counts.done;
+}
+
+// Which frame, and what its fit was.
+function label(frame) {
+  const name = frame.image > 0 ? `${frame.name} image ${frame.image}` : frame.name;
+  return frame.fit ? `${name} (${frame.fit})` : name;
 }
 
 function state(name, text) {

@@ -217,8 +217,9 @@ impl Store {
 
 fn insert_frame(connection: &Connection, frame: &Frame) -> rusqlite::Result<usize> {
     let query = "INSERT OR IGNORE INTO frames (content, image, name, observed_s, taken_s, latency_s, status, reason, fit, chi2, flux_e, \
-                 background_e, phasing_rms_nm, ncpa_rms_nm, coefficients_nm, sigma_nm, tracked_nm, tracked_sigma_nm, warnings) VALUES \
-                 (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19)";
+                 background_e, phasing_rms_nm, ncpa_rms_nm, pointing_x_pixels, pointing_y_pixels, coefficients_nm, sigma_nm, tracked_nm, \
+                 tracked_sigma_nm, warnings) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, \
+                 ?19, ?20, ?21)";
     connection.prepare_cached(query)?.execute(params![
         &frame.content.0[..],
         frame.image as i64,
@@ -234,6 +235,8 @@ fn insert_frame(connection: &Connection, frame: &Frame) -> rusqlite::Result<usiz
         frame.background_e,
         frame.phasing_rms_nm,
         frame.ncpa_rms_nm,
+        frame.pointing_pixels[0],
+        frame.pointing_pixels[1],
         blob(&frame.coefficients_nm),
         blob(&frame.sigma_nm),
         blob(&frame.tracked_nm),

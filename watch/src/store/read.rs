@@ -34,7 +34,7 @@ pub struct SegmentPoint {
 }
 
 const FIGURES: &str = "id, name, image, observed_s, taken_s, latency_s, status, reason, fit, chi2, flux_e, background_e, \
-                       phasing_rms_nm, ncpa_rms_nm, warnings";
+                       phasing_rms_nm, ncpa_rms_nm, pointing_x_pixels, pointing_y_pixels, warnings";
 
 /// What is read of a frame: vectors are most of its bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -175,11 +175,13 @@ fn frame(row: &Row) -> rusqlite::Result<StoredFrame> {
         background_e: row.get(11)?,
         phasing_rms_nm: row.get(12)?,
         ncpa_rms_nm: row.get(13)?,
-        warnings: serde_json::from_str(&row.get::<_, String>(14)?).unwrap_or_default(),
-        coefficients_nm: vector(15)?,
-        sigma_nm: vector(16)?,
-        tracked_nm: vector(17)?,
-        tracked_sigma_nm: vector(18)?,
+        pointing_x_pixels: row.get(14)?,
+        pointing_y_pixels: row.get(15)?,
+        warnings: serde_json::from_str(&row.get::<_, String>(16)?).unwrap_or_default(),
+        coefficients_nm: vector(17)?,
+        sigma_nm: vector(18)?,
+        tracked_nm: vector(19)?,
+        tracked_sigma_nm: vector(20)?,
     })
 }
 

@@ -116,7 +116,9 @@ pub struct Frame {
     pub phasing_rms_nm: f64,
     /// RMS over the pupil of the NCPA.
     pub ncpa_rms_nm: f64,
-    /// Of each mode, nm; empty where there is no fit.
+    /// The star, pixels of the frame from its axis, along x and y.
+    pub pointing_pixels: [f64; 2],
+    /// Of each mode without the pointing, nm; empty where there is no fit.
     pub coefficients_nm: Vec<f64>,
     /// Error bar of each mode, nm.
     pub sigma_nm: Vec<f64>,
@@ -147,6 +149,7 @@ impl Frame {
             background_e: f64::NAN,
             phasing_rms_nm: f64::NAN,
             ncpa_rms_nm: f64::NAN,
+            pointing_pixels: [f64::NAN; 2],
             coefficients_nm: Vec::new(),
             sigma_nm: Vec::new(),
             tracked_nm: Vec::new(),
@@ -159,9 +162,9 @@ impl Frame {
 /// Something that happened.
 #[derive(Debug, Clone, Serialize)]
 pub struct Event {
-    /// s since 1970.
+    /// s since 1970: when the frame that showed it was observed; of an event of no frame, when it was noticed.
     pub time_s: f64,
-    /// `segment`, `wavefront`, `correction`, `source` or `disk`.
+    /// `segment`, `wavefront`, `pointing`, `correction`, `source` or `disk`.
     pub kind: &'static str,
     /// What a person reads.
     pub sentence: String,
@@ -216,6 +219,8 @@ pub struct StoredFrame {
     pub background_e: Option<f64>,
     pub phasing_rms_nm: Option<f64>,
     pub ncpa_rms_nm: Option<f64>,
+    pub pointing_x_pixels: Option<f64>,
+    pub pointing_y_pixels: Option<f64>,
     pub warnings: Vec<String>,
     #[serde(skip)]
     pub coefficients_nm: Vec<f64>,

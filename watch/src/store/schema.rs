@@ -8,9 +8,10 @@ use std::path::Path;
 /// `application_id` of the file: "CoWa".
 const APPLICATION: i64 = 0x436f_5761;
 /// Version of the tables below.
-const VERSION: i64 = 1;
+const VERSION: i64 = 2;
 
 /// Times are seconds since 1970 (UTC), vectors are doubles in little-endian order; a number that is not known is NULL.
+/// Coefficients are those of the wavefront, without tip and tilt of the whole pupil: these are the pointing, in pixels of the frame from its axis.
 ///
 /// A correction holds what it changes of the coefficients, the tracked state and its error bars when it was written, and what was seen of it.
 const TABLES: &str = "
@@ -31,6 +32,8 @@ CREATE TABLE frames (
     background_e REAL,
     phasing_rms_nm REAL,
     ncpa_rms_nm REAL,
+    pointing_x_pixels REAL,
+    pointing_y_pixels REAL,
     coefficients_nm BLOB,
     sigma_nm BLOB,
     tracked_nm BLOB,

@@ -64,8 +64,9 @@ fn one(
         let white: Array1<f64> = (0..modes).map(|_| normal(&mut random)).collect();
         let seen_nm = &truth_nm + &root_nm.dot(&white);
         let time_s = frame as f64 * INTERVAL_S;
-        alarms +=
-            tracker.update(Observation { time_s, coefficients_nm: seen_nm.view(), covariance_nm2 })?.changes.len();
+        let coefficients_nm = seen_nm.view();
+        let observation = Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm: None };
+        alarms += tracker.update(observation)?.changes.len();
     }
     Ok(alarms)
 }

@@ -6,7 +6,7 @@ use crate::experiment::Case;
 use crate::experiment::statistics::{median, rms};
 use cophase::Result;
 use cophase::tracking::{Change, Observation, Tracker, TrackerSettings, Verdict};
-use ndarray::ArrayView1;
+use ndarray::{Array2, ArrayView1};
 
 /// Images after a jump within which a change of its segment is that jump, and no false alarm.
 const NAMED_WITHIN: usize = 20;
@@ -68,6 +68,7 @@ impl Followed {
                         time_s: frame as f64 * INTERVAL_S,
                         coefficients_nm: ArrayView1::from(&estimate.coefficients_nm),
                         covariance_nm2: estimate.covariance_nm2.view(),
+                        pointing_nm: None,
                     })?;
                     seen.is_used = update.verdict == Verdict::Accepted;
                     seen.verdict = if seen.is_used { "used" } else { "outlier" };
@@ -134,6 +135,7 @@ pub(super) fn settings(segments: usize, false_alarms_per_night: f64) -> TrackerS
     TrackerSettings {
         segment_modes: 0..segments,
         segment_of_mode: (0..segments).collect(),
+        pointing_modes: Array2::zeros((0, 0)),
         drift_segments_nm_per_sqrt_hour: None,
         drift_ncpa_nm_per_sqrt_hour: None,
         false_alarms_per_night,
