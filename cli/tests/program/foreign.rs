@@ -48,7 +48,7 @@ fn scene_in_an_image_names_files_beside_it_only() {
         embed(&desk, "night/other.fits", foreign);
         let foreign = foreign.rsplit('/').next().unwrap();
         desk.refuses(&estimate, &["night/other.fits", foreign, "image.filter_file", "--foreign-files"]);
-        desk.succeeds(&[&estimate[..], &["--set", "image.filter_file=night/filter.txt"]].concat());
+        desk.succeeds(&[&estimate[..], &["--set", "image.filter_file=filter.txt"]].concat());
     }
     embed(&desk, "night/other.fits", "../filter.txt");
     desk.succeeds(&[&estimate[..], &["--foreign-files"]].concat());
