@@ -35,6 +35,7 @@
 
 #![deny(missing_docs)]
 
+mod agreement;
 pub mod ao;
 mod atomic;
 pub mod capi;

@@ -15,6 +15,8 @@ use std::ptr;
 
 use fitsio::sys;
 
+use super::characters;
+
 /// Result of a call, with cfitsio's message on failure.
 pub(super) type CfitsioResult<T> = Result<T, String>;
 
@@ -116,6 +118,14 @@ impl Handle {
         self.call(|file, status| unsafe { sys::ffmahd(file, number, ptr::null_mut(), status) })
     }
 
+    /// Sum of the data of the current HDU, as its card `DATASUM` has it.
+    pub fn data_sum(&mut self) -> CfitsioResult<u64> {
+        let (mut data, mut hdu) = (0, 0);
+        // SAFETY: two live locals.
+        self.call(|file, status| unsafe { sys::ffgcks(file, &mut data, &mut hdu, status) })?;
+        Ok(data)
+    }
+
     /// Reads the whole image of the current HDU as f64, x fastest; `BLANK` becomes NaN.
     pub fn image(&mut self, axes: usize, pixels: usize, integers: bool) -> CfitsioResult<Vec<f64>> {
         let mut data = allocate(pixels, 0.0)?;
@@ -177,7 +187,7 @@ impl Handle {
         })?;
         let text = |row: &[u8]| {
             let end = row.iter().position(|&byte| byte == 0).unwrap_or(width);
-            String::from_utf8_lossy(row[..end].trim_ascii_end()).into_owned()
+            characters::decoded(row[..end].trim_ascii_end())
         };
         Ok(bytes.chunks_exact(stride).map(text).collect())
     }

@@ -86,6 +86,7 @@ impl FitsReader {
         };
         let rows = self.layout.hdus[index].axes[1] as usize;
         self.move_to(index)?;
+        self.check_data_sum(index)?;
         let number = place as i32 + 1;
         let (code, repeat, width) = self.handle.column_type(number).map_err(|reason| self.refuse(reason))?;
         // A column cannot be wider than its row, whose size was checked against the file. TFORM may claim otherwise.

@@ -5,6 +5,7 @@
 //! every unit that makes it plausible.
 
 use super::band::Band;
+use super::card_unit::{self, ELECTRONS, PIXELS, SECONDS, Stated, Units, WAVELENGTHS};
 use super::read::FitsReader;
 use super::value::Card;
 use crate::Result;
@@ -67,25 +68,6 @@ pub enum PixelUnit {
     Other(String),
 }
 
-/// Units of a quantity: word, factor to the unit of the quantity, plausible values in the word's unit.
-type Units = &'static [(&'static [&'static str], f64, [f64; 2])];
-
-/// From 100 nm to 100 µm, as a scene accepts.
-const WAVELENGTHS: Units = &[
-    (&["nm", "nanometer", "nanometers"], 1.0, [100.0, 1e5]),
-    (&["um", "micron", "microns", "micrometer", "micrometers", "mum"], 1e3, [0.1, 100.0]),
-    (&["angstrom", "angstroms", "ang"], 0.1, [1e3, 1e6]),
-    (&["m", "meter", "meters", "metre"], 1e9, [1e-7, 1e-4]),
-];
-/// From 0.01 mas to 60 arcsec.
-const PIXELS: Units = &[
-    (&["mas", "milliarcsec"], 1.0, [0.1, 6e4]),
-    (&["arcsec", "arcseconds", "arcsecond", "asec"], 1e3, [1e-5, 60.0]),
-    (&["deg", "degree", "degrees"], 3.6e6, [1e-9, 1e-3]),
-];
-const SECONDS: Units = &[(&["s", "sec", "seconds"], 1.0, [0.0, 1e7]), (&["ms", "msec"], 1e-3, [0.0, 1e9])];
-const ELECTRONS: Units = &[(&["e", "electron", "electrons"], 1.0, [0.0, 1e12])];
-
 /// Keywords of each quantity, those that are preferred first, their units, and whether the first unit is that of a bare number.
 const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
     (Quantity::GainEPerAdu, &["EGAIN", "GAIN"], ELECTRONS, true),
@@ -97,7 +79,7 @@ const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
         false,
     ),
     (Quantity::PixelMas, &["PIXSCALE", "PIXSCAL", "PIXSCAL1", "PIXELSCL", "SECPIX", "SECPIX1"], PIXELS, false),
-    (Quantity::ExposureS, &["EXPTIME", "EXPOSURE", "ITIME", "TEXP"], SECONDS, true),
+    (Quantity::ExposureS, &["EXPTIME", "EXPOSURE", "TRUITIME", "ITIME", "TEXP"], SECONDS, true),
     (Quantity::BackgroundE, &["BACKGR_E"], ELECTRONS, true),
 ];
 
@@ -112,38 +94,60 @@ const LEAST_TOLERANCE: f64 = 1e-6;
 /// Relative uncertainty of a pixel scale from the world coordinates of a file, which describe the sky and not the optics.
 const COORDINATES_TOLERANCE: f64 = 0.02;
 
-/// Facts in the HDU at `index`, else in the primary HDU: for each quantity all its cards, in the order of preference.
-pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Vec<HeaderFact>> {
-    let mut facts = Vec::new();
+/// Keywords of the integration time of one coadd, the true one of OSIRIS first: its `ITIME` is in ms.
+pub const COADD_TIMES: [&str; 2] = ["TRUITIME", "ITIME"];
+
+/// What the cards of an image state.
+#[derive(Debug, Default)]
+pub(super) struct Facts {
+    /// For each quantity all its cards, in the order of preference.
+    pub facts: Vec<HeaderFact>,
+    /// Cards that state a quantity in a form that is not read, where no other card states it: a sentence each.
+    pub unread: Vec<String>,
+}
+
+/// Facts in the HDU at `index`, else in the primary HDU.
+pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Facts> {
+    let mut found = Facts::default();
     for (quantity, keywords, units, is_bare) in KEYWORDS {
+        let (before, mut unread) = (found.facts.len(), Vec::new());
         for keyword in keywords {
-            if let Some((card, written, comment)) = card(file, index, keyword)? {
-                facts.extend(fact(quantity, keyword, &card, (&written, &comment), (units, is_bare)));
+            let Some((card, written, comment)) = card(file, index, keyword)? else { continue };
+            let gain = found.facts.iter().find(|fact| fact.quantity == Quantity::GainEPerAdu);
+            let gain = gain.and_then(|fact| fact.values.first().copied());
+            match fact(quantity, keyword, &card, (&written, &comment), (units, is_bare, gain)) {
+                Ok(fact) => found.facts.push(fact),
+                Err(why) => unread.push(format!("The card {keyword} = {card} was not used: {why}.")),
             }
+        }
+        if found.facts.len() == before {
+            found.unread.extend(unread);
         }
     }
     // The integration time is that of one coadd, of which an image is the sum.
     if let Some(coadds) =
         card(file, index, "COADDS")?.and_then(|(card, ..)| card.number()).filter(|coadds| *coadds > 1.0)
     {
-        for fact in facts.iter_mut().filter(|fact| fact.keyword == "ITIME") {
+        for fact in found.facts.iter_mut().filter(|fact| COADD_TIMES.contains(&fact.keyword)) {
             fact.values.extend(fact.values.first().map(|seconds| seconds * coadds));
         }
     }
     for keyword in FILTERS {
         if let Some((Card::Text(name), ..)) = card(file, index, keyword)? {
-            facts.extend(band_fact(keyword, name.trim()));
+            found.facts.extend(band_fact(keyword, name.trim()));
         }
     }
-    if !facts.iter().any(|fact| fact.quantity == Quantity::PixelMas) {
-        facts.extend(coordinates(file, index)?);
+    if !found.facts.iter().any(|fact| fact.quantity == Quantity::PixelMas) {
+        found.facts.extend(coordinates(file, index)?);
     }
-    Ok(facts)
+    Ok(found)
 }
 
-/// Unit of the pixels: card `BUNIT` of the HDU at `index`, and only there, because it describes the array of its HDU.
+/// Unit of the pixels: card `BUNIT` of the HDU at `index`, else that of a primary HDU without an array that it could describe.
 pub(super) fn unit(file: &mut FitsReader, index: usize) -> Result<PixelUnit> {
-    Ok(file.card_at(index, "BUNIT")?.map_or(PixelUnit::Unstated, |card| pixel_unit(&plain(&card))))
+    let own = file.card_at(index, "BUNIT")?;
+    let inherited = if own.is_none() && file.is_inherited_by(index) { file.card_at(0, "BUNIT")? } else { None };
+    Ok(own.or(inherited).map_or(PixelUnit::Unstated, |card| pixel_unit(&plain(&card))))
 }
 
 /// A card of the HDU at `index`, else of the primary HDU, with its value as written and its comment.
@@ -162,50 +166,49 @@ fn plain(card: &Card) -> String {
     card.text().map_or_else(|| card.to_string(), |text| text.trim().to_string())
 }
 
+/// The fact of a card, or why it is none. A number in counts is converted with the gain, where that is known.
 fn fact(
     quantity: Quantity,
     keyword: &'static str,
     card: &Card,
     (written, comment): (&str, &str),
-    (units, is_bare): (Units, bool),
-) -> Option<HeaderFact> {
+    (units, is_bare, gain): (Units, bool, Option<f64>),
+) -> std::result::Result<HeaderFact, String> {
     let text = match card {
         Card::Text(text) => text.trim(),
         Card::Integer(_) | Card::Real(_) => written,
-        Card::Logical(_) => return None,
+        Card::Logical(_) => return Err("a number is accepted".into()),
     };
     let end = text.find(|c: char| !(c.is_ascii_digit() || "+-.eEdD".contains(c))).unwrap_or(text.len());
     // The `e` of a unit such as `e-/ADU` belongs to no number.
     let digits = text[..end].trim_end_matches(|c: char| !(c.is_ascii_digit() || c == '.'));
-    let value: f64 = digits.replace(['d', 'D'], "e").parse().ok().filter(|value: &f64| value.is_finite())?;
-    let named = unit_in(&text[digits.len()..], units, true).or_else(|| unit_in(comment, units, false));
-    let values: Vec<f64> = match named {
-        Some((_, factor, _)) => vec![value * factor],
-        None if is_bare => vec![value],
-        None => {
-            let plausible = units.iter().filter(|(.., [least, most])| (*least..=*most).contains(&value));
-            plausible.map(|(_, factor, _)| value * factor).collect()
+    let value: Option<f64> = digits.replace(['d', 'D'], "e").parse().ok().filter(|value: &f64| value.is_finite());
+    let names: Vec<&str> = units.iter().map(|(names, ..)| names[0]).collect();
+    let value = value.ok_or_else(|| format!("a number, with a unit ({}) or without, is accepted", names.join(", ")))?;
+    let values: Vec<f64> = match card_unit::stated(&text[digits.len()..], comment, units) {
+        Some(Stated::Factor(factor)) => vec![value * factor],
+        Some(Stated::Inverse(factor)) if value != 0.0 => vec![factor / value],
+        Some(Stated::Inverse(_)) => return Err("the inverse of 0 is no number".into()),
+        Some(Stated::Setting) => return Err(format!("its comment `{comment}` names a setting of the camera")),
+        // A gain in counts is the number of electrons in one, as its bare number is.
+        Some(Stated::Counts) if quantity == Quantity::GainEPerAdu => vec![value],
+        Some(Stated::Counts) => {
+            vec![value * gain.ok_or("it is in counts, and no card GAIN or EGAIN gives the electrons per count")?]
         }
+        None if is_bare => vec![value],
+        None => card_unit::plausible(value, units).map(|factor| value * factor).collect(),
     };
-    let accepted = !values.is_empty() && values.iter().all(|value| *value >= 0.0);
+    if values.is_empty() || values.iter().any(|value| *value < 0.0) {
+        return Err(format!("in no unit ({}) is it a plausible value", names.join(", ")));
+    }
     let tolerance = (last_digit(digits) / value.abs()).clamp(LEAST_TOLERANCE, 0.1);
-    accepted.then(|| HeaderFact { quantity, keyword, written: text.to_string(), values, tolerance })
+    Ok(HeaderFact { quantity, keyword, written: text.to_string(), values, tolerance })
 }
 
 /// The band that the name of a filter states.
 fn band_fact(keyword: &'static str, name: &str) -> Option<HeaderFact> {
     let Band { centre_nm, tolerance, .. } = Band::named(name)?;
     Some(HeaderFact { quantity: Quantity::BandNm, keyword, written: name.into(), values: vec![centre_nm], tolerance })
-}
-
-/// The unit that `text` names. In a comment, units of one letter do not count.
-fn unit_in(text: &str, units: Units, is_value: bool) -> Option<(&'static [&'static str], f64, [f64; 2])> {
-    let words = text.split(|c: char| !(c.is_alphabetic() || c == 'µ')).filter(|word| !word.is_empty());
-    let found = words.filter(|word| is_value || word.chars().count() > 1).find_map(|word| {
-        let word = word.replace(['µ', 'μ'], "u").to_ascii_lowercase();
-        units.iter().find(|(names, ..)| names.contains(&word.as_str()))
-    });
-    found.copied()
 }
 
 /// One unit of the last digit of a number.
@@ -254,7 +257,7 @@ mod tests {
     fn read(quantity: Quantity, written: &str, comment: &str) -> Option<HeaderFact> {
         let (_, keywords, units, is_bare) = KEYWORDS.into_iter().find(|row| row.0 == quantity)?;
         let card = Card::parse(written).unwrap_or_else(|| written.into());
-        fact(quantity, keywords[0], &card, (written, comment), (units, is_bare))
+        fact(quantity, keywords[0], &card, (written, comment), (units, is_bare, None)).ok()
     }
 
     #[test]

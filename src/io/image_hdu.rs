@@ -2,19 +2,16 @@
 
 use std::path::Path;
 
-use ndarray::{Array3, ArrayView2, Axis, Zip};
+use ndarray::Array3;
 
-use super::header::{self, HeaderFact, PixelUnit};
-use super::layout::HduKind;
+use super::header::{self, Facts, HeaderFact, PixelUnit};
+use super::mask::{self, MaskFile};
 use super::read::FitsReader;
 use super::value::Card;
 use crate::{Error, Result};
 
 /// Card with the name of the channel that images are of.
 pub const CHANNEL: &str = "CHANNEL";
-
-/// Name of the HDU with bad pixels.
-pub(super) const BADPIX: &str = "BADPIX";
 
 /// Images as they were read, in the unit of the file.
 #[derive(Debug, Clone)]
@@ -27,7 +24,7 @@ pub struct Images {
     pub bad: Array3<bool>,
     /// Card `RON_E` of the image HDU, else of the primary HDU: read noise per pixel, electrons RMS.
     pub read_noise_e: Option<f64>,
-    /// Card `BUNIT` of the image HDU: unit of the pixels.
+    /// Card `BUNIT` of the image HDU, else of a primary HDU without an image: unit of the pixels.
     pub unit: PixelUnit,
     /// What the cards of the image HDU, else of the primary HDU, state of the instrument.
     pub facts: Vec<HeaderFact>,
@@ -41,6 +38,8 @@ pub struct Images {
     pub repaired: Option<String>,
     /// What the file has besides the images that is not used, a sentence each.
     pub notes: Vec<String>,
+    /// What a user should know without doubting the images, a sentence each: cards that are not read, other HDUs.
+    pub remarks: Vec<String>,
 }
 
 /// Reads the images in HDU `index` of `file`, which are at `place` among those that are read, with the bad pixels in its HDU `marks`
@@ -52,20 +51,26 @@ pub(super) fn read_hdu(
     mask: Option<&Path>,
 ) -> Result<Images> {
     let data = file.cube_at(index)?;
+    of_data(file, (place, index), data, marks, mask)
+}
+
+/// As [`read_hdu`], of images whose pixels are `data` and whose cards are those of HDU `index`.
+pub(super) fn of_data(
+    file: &mut FitsReader,
+    (place, index): (usize, usize),
+    data: Array3<f64>,
+    marks: Option<usize>,
+    mask: Option<&Path>,
+) -> Result<Images> {
     let mut bad = Array3::from_elem(data.dim(), false);
     let mut repaired = file.repaired();
     if let Some(marks) = marks {
-        mark_bad_pixels(file, marks, &mut bad)?;
+        mask::mark(file, (marks, None), &mut bad)?;
     }
-    if let Some(mask) = mask {
-        let mut mask = FitsReader::open(mask)?;
-        let marks = match mask.selected_image()? {
-            Some(selected) => selected,
-            None if mask.has(BADPIX) => mask.find(BADPIX, HduKind::Image)?,
-            None => mask.first_image(&[])?,
-        };
-        mark_bad_pixels(&mut mask, marks, &mut bad)?;
-        let mask_repairs = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
+    if let Some(path) = mask {
+        let mut mask = MaskFile::open(path)?;
+        mask.mark(&mut bad)?;
+        let mask_repairs = mask.file.repaired().map(|sentence| format!("in the mask {}, {sentence}", path.display()));
         repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
     }
     let mut non_finite = 0;
@@ -74,7 +79,7 @@ pub(super) fn read_hdu(
         *is_bad |= !value.is_finite();
     });
     let read_noise_e = read_noise(file, index)?;
-    let (unit, facts) = (header::unit(file, index)?, header::facts(file, index)?);
+    let (unit, Facts { facts, unread }) = (header::unit(file, index)?, header::facts(file, index)?);
     let channel = match file.card_at(index, CHANNEL)? {
         Some(Card::Text(name)) => Some(name.trim().to_owned()),
         other => other.map(|card| card.to_string()),
@@ -93,29 +98,8 @@ pub(super) fn read_hdu(
         version,
         repaired,
         notes: Vec::new(),
+        remarks: unread,
     })
-}
-
-/// Adds the bad pixels marked in the image at `index` of `file` to `bad`.
-fn mark_bad_pixels(file: &mut FitsReader, index: usize, bad: &mut Array3<bool>) -> Result<()> {
-    let marks = file.cube_at(index)?;
-    let (images, height, width) = bad.dim();
-    if marks.dim() == bad.dim() {
-        Zip::from(bad).and(&marks).for_each(|bad, &mark| *bad |= mark != 0.0);
-        return Ok(());
-    }
-    if marks.dim() != (1, height, width) {
-        let name = file.name_of(index);
-        return Err(file.refuse(format!(
-            "the mask {name} has the shape {:?}, where ({height}, {width}) or ({images}, {height}, {width}) is accepted",
-            marks.dim()
-        )));
-    }
-    let marks: ArrayView2<f64> = marks.index_axis(Axis(0), 0);
-    for image in bad.axis_iter_mut(Axis(0)) {
-        Zip::from(image).and(marks).for_each(|bad, &mark| *bad |= mark != 0.0);
-    }
-    Ok(())
 }
 
 /// Card `RON_E` of the HDU at `index`, else of the primary HDU.

@@ -3,12 +3,16 @@
 use std::path::Path;
 
 use super::aot;
-use super::image_hdu::{BADPIX, Images, read_hdu};
+use super::image_hdu::{Images, of_data, read_hdu};
 use super::layout::HduKind;
+use super::mask::BADPIX;
+use super::mosaic::{self, Mosaic};
 use super::read::FitsReader;
 use crate::Result;
 
-/// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU `IMAGES` if it exists, else the primary HDU, else the first image extension.
+/// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU `IMAGES` if it exists, else the amplifiers of a
+/// detector, an image HDU each with a card `DETSEC`, put together, else the primary HDU, else the first image extension. Image HDUs that are
+/// not read are named in the notes or remarks.
 ///
 /// A file of AOT has those of its scoring camera: [`aot`].
 ///
@@ -34,9 +38,22 @@ fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<Images> {
             }
         };
     }
-    let index = image_hdu(file)?;
     let marks = if file.has(BADPIX) { Some(file.find(BADPIX, HduKind::Image)?) } else { None };
-    read_hdu(file, (0, index), marks, mask)
+    let is_named = file.selected_image()?.is_some() || file.has("IMAGES");
+    let mosaic = if is_named { None } else { mosaic::assembled(file)? };
+    if let Some(Mosaic { index, data, remark }) = mosaic {
+        let mut images = of_data(file, (0, index), data, marks, mask)?;
+        images.remarks.push(remark);
+        return Ok(images);
+    }
+    let index = image_hdu(file)?;
+    let mut images = read_hdu(file, (0, index), marks, mask)?;
+    if !is_named {
+        let (note, remark) = mosaic::unread(file, index);
+        images.notes.extend(note);
+        images.remarks.extend(remark);
+    }
+    Ok(images)
 }
 
 /// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`, each with the HDU `BADPIX` of the

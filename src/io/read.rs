@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use ndarray::{Array2, Array3, ArrayD};
 
+use super::card;
 use super::cfitsio::{CfitsioResult, Handle};
 use super::extension;
 use super::layout::{self, Hdu, HduKind, Layout};
@@ -274,6 +275,17 @@ impl FitsReader {
         format!("there are {}", names.join(", "))
     }
 
+    /// Whether the primary HDU has no image of its own, so that its cards describe that at `index`, and this HDU does not say otherwise
+    /// (the card `INHERIT` of the FITS convention of this name).
+    pub(super) fn is_inherited_by(&self, index: usize) -> bool {
+        index > 0 && self.layout.hdus[0].axes.is_empty() && self.layout.hdus[index].value("INHERIT") != Some("F")
+    }
+
+    /// HDU `index` in words.
+    pub(super) fn described(&self, index: usize) -> String {
+        self.layout.hdus[index].described()
+    }
+
     pub(super) fn name_of(&self, index: usize) -> &str {
         &self.layout.hdus[index].name
     }
@@ -299,6 +311,7 @@ impl FitsReader {
         }
         let integers = hdu.bitpix > 0;
         self.move_to(index)?;
+        self.check_data_sum(index)?;
         let pixels: usize = shape.iter().product();
         // As f64, and once more where a part is copied or masked.
         machine::check_memory(
@@ -308,6 +321,24 @@ impl FitsReader {
         )?;
         let data = self.handle.image(shape.len(), pixels, integers).map_err(|reason| self.refuse(reason))?;
         ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
+    }
+
+    /// Refuses an HDU whose data are not those that its card `DATASUM` was computed of. A card without a number says nothing.
+    pub(super) fn check_data_sum(&mut self, index: usize) -> Result<()> {
+        let Some(stated) =
+            self.layout.hdus[index].value("DATASUM").and_then(|sum| card::text(sum).trim().parse::<u64>().ok())
+        else {
+            return Ok(());
+        };
+        let sum = self.handle.data_sum().map_err(|reason| self.refuse(reason))?;
+        if sum == stated {
+            return Ok(());
+        }
+        let what = self.layout.hdus[index].described();
+        Err(self.refuse(format!(
+            "the file is damaged: the data of {what} have the sum {sum}, where its card DATASUM is {stated}; the original, or for data \
+             that were changed on purpose a file without this card, is needed"
+        )))
     }
 
     pub(super) fn move_to(&mut self, index: usize) -> Result<()> {

@@ -25,11 +25,11 @@ pub(super) fn open(path: &Path, wanted: &str) -> Result<File> {
     File::open(path).map_err(refused)
 }
 
-/// Reads the text of a regular file of at most `most` bytes, whatever length the system states. `wanted` is as for [`open`].
+/// Reads a regular file of at most `most` bytes, whatever length the system states. `wanted` is as for [`open`].
 ///
 /// # Errors
-/// As [`open`]; [`Error::File`] for a longer file, and for one that is no text in UTF-8.
-pub(super) fn read_text(path: &Path, wanted: &str, most: u64) -> Result<String> {
+/// As [`open`]; [`Error::File`] for a longer file.
+pub(super) fn read_bytes(path: &Path, wanted: &str, most: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let read = open(path, wanted)?.take(most + 1).read_to_end(&mut bytes);
     read.map_err(|error| Error::file(path, format_args!("cannot be read: {error}")))?;
@@ -39,10 +39,7 @@ pub(super) fn read_text(path: &Path, wanted: &str, most: u64) -> Result<String> 
             format_args!("has more than {most} bytes; at most that many are accepted for {wanted}"),
         ));
     }
-    String::from_utf8(bytes).map_err(|error| {
-        let byte = error.utf8_error().valid_up_to();
-        Error::file(path, format_args!("is not a text in UTF-8 from byte {byte} on, where {wanted} is needed"))
-    })
+    Ok(bytes)
 }
 
 #[cfg(test)]
@@ -54,14 +51,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let long = folder.path().join("long.txt");
         std::fs::write(&long, "0123456789\n").unwrap();
-        assert_eq!(read_text(&long, "a table", 11).unwrap(), "0123456789\n");
+        assert_eq!(read_bytes(&long, "a table", 11).unwrap(), b"0123456789\n");
         for (path, fact) in [
             (Path::new("/dev/zero"), "device"),
             (folder.path(), "directory"),
             (&folder.path().join("absent"), "no such file"),
             (&long, "more than 10 bytes"),
         ] {
-            let refused = read_text(path, "a table", 10).unwrap_err().to_string();
+            let refused = read_bytes(path, "a table", 10).unwrap_err().to_string();
             assert!(refused.contains(fact) && refused.contains(&path.display().to_string()), "{refused}");
         }
     }

@@ -4,6 +4,7 @@
 //! sign in a comment. cfitsio rejects some of these and misreads others, so it reads only the standard form.
 
 use super::card::{self, BLOCK, Bytes, CARD};
+use super::characters;
 
 /// The repairs: for each kind a short phrase, the count, and the offset of the first.
 #[derive(Debug, Default)]
@@ -47,14 +48,10 @@ pub(super) fn starts_hdu(original: &Bytes, primary: bool) -> bool {
 
 /// `original` in printable ASCII, with the keyword in capitals and `= ` in columns 9 and 10.
 pub(super) fn card(original: &Bytes, at: u64, repairs: &mut Repairs) -> Bytes {
-    let mut card = *original;
-    for byte in &mut card {
-        match *byte {
-            32..=126 => continue,
-            128.. => repairs.add("bytes outside ASCII replaced by `?`".into(), at),
-            _ => repairs.add("control bytes in a header replaced by blanks".into(), at),
-        }
-        *byte = if *byte >= 128 { b'?' } else { b' ' };
+    let mut card = in_ascii(original, at, repairs);
+    for byte in card.iter_mut().filter(|byte| !matches!(**byte, 32..=126)) {
+        repairs.add("control bytes in a header replaced by blanks".into(), at);
+        *byte = b' ';
     }
     let equals = card[..9].iter().position(|&byte| byte == b'=').unwrap_or(8);
     let name = card[..equals].trim_ascii().to_ascii_uppercase();
@@ -75,6 +72,25 @@ pub(super) fn card(original: &Bytes, at: u64, repairs: &mut Repairs) -> Bytes {
         return card::padded(&line);
     }
     card
+}
+
+/// `original` with characters outside ASCII written in ASCII; the keyword keeps its columns.
+fn in_ascii(original: &Bytes, at: u64, repairs: &mut Repairs) -> Bytes {
+    if original.is_ascii() {
+        return *original;
+    }
+    let mut line: Vec<u8> = original[..8].iter().map(|&byte| if byte.is_ascii() { byte } else { b'?' }).collect();
+    let (text, is_complete) = characters::ascii(&original[8..]);
+    line.extend_from_slice(&text);
+    let quotes = |bytes: &[u8]| bytes.iter().filter(|byte| **byte == b'\'').count();
+    // An equivalent of several letters may push the end of a text out of the card: its characters are then replaced one by one.
+    let fits = quotes(&line) == quotes(&line[..line.len().min(CARD)]);
+    if fits && is_complete && original[..8].is_ascii() {
+        repairs.add("characters outside ASCII written in ASCII".into(), at);
+    } else {
+        repairs.add("characters outside ASCII replaced by `?`".into(), at);
+    }
+    if fits { card::padded(&line) } else { original.map(|byte| if byte.is_ascii() { byte } else { b'?' }) }
 }
 
 /// Whether a repaired card is END.

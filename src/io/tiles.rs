@@ -94,7 +94,9 @@ fn image_header(hdu: &Hdu, geometry: &Geometry) -> Vec<u8> {
     mandatory.extend(geometry.axes.iter().enumerate().map(|(i, size)| (format!("NAXIS{}", i + 1), size.to_string())));
     mandatory.extend([("PCOUNT".into(), "0".into()), ("GCOUNT".into(), "1".into())]);
     let cards = hdu.header.as_chunks::<CARD>().0.iter().copied();
-    let mut cards: Vec<card::Bytes> = cards.take_while(|card| !repair::is_end(card)).collect();
+    // The sums of the table are not those of the image.
+    let is_kept = |card: &card::Bytes| !matches!(card::keyword(card), b"DATASUM" | b"CHECKSUM");
+    let mut cards: Vec<card::Bytes> = cards.take_while(|card| !repair::is_end(card)).filter(is_kept).collect();
     if let (true, None, Some(blank)) = (geometry.bitpix > 0, hdu.value("BLANK"), hdu.value("ZBLANK")) {
         cards.push(card::fixed("BLANK", blank, ""));
     }

@@ -4,7 +4,7 @@
 //! the scene's matrix with s = 1; with a table and no matrix a channel receives the correction of one element; with both the table
 //! names, scales and limits the rows of the matrix. A matrix of the segments may have columns for tips and tilts after the pistons'.
 
-use crate::io::{Column, TextRow, read_map, read_text, text_rows};
+use crate::io::{Column, TextRow, TextTable, read_map, read_text};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
@@ -185,7 +185,7 @@ fn read_matrix(path: &Path, moved: Moved, elements: usize) -> Result<Array2<f64>
 /// The channels of a table that move each of `elements`, called `element`, or why it is not accepted.
 fn parse(text: &str, elements: usize, element: &str) -> std::result::Result<Vec<Channel>, String> {
     let (mut channels, mut names, mut moved): (Vec<Channel>, _, _) = (Vec::new(), BTreeSet::new(), BTreeSet::new());
-    for row in text_rows(text) {
+    for row in TextTable::new(text).rows {
         let channel = channel(&row, elements, element)?;
         if !names.insert(channel.name.clone()) {
             return Err(
@@ -210,7 +210,7 @@ fn channel(row: &TextRow, elements: usize, element: &str) -> std::result::Result
             "{count} columns; the number of the {element}, the channel's name, units per nm and optionally a limit are needed"
         )));
     }
-    let number = row.words[0].parse::<usize>().ok().filter(|number| *number < elements);
+    let number = row.integer(0).and_then(|number| usize::try_from(number).ok()).filter(|number| *number < elements);
     let number = number.ok_or_else(|| {
         row.at(format_args!("there is no {element} {}; 0 to {} are accepted", row.words[0], elements.saturating_sub(1)))
     })?;

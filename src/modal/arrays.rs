@@ -6,8 +6,9 @@ use super::mode_set::{ModeSet, SceneBasis, on_grid};
 use super::model::Model;
 use super::recipe::Recipe;
 use crate::modes::{Basis, Group};
+use crate::pupil::Pupil;
 use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
-use crate::telescope::{Diversity, MapOnGrid, Telescope};
+use crate::telescope::{Diversity, MapOnGrid, Telescope, continued};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayViewMut2};
 
@@ -56,7 +57,7 @@ impl ModalFitter {
         let width_m = scene.pupil.grid_m.unwrap_or(UNSTATED_WIDTH_M);
         let telescope = Telescope::of_maps(scene, width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {
-            Some(map) => diversity_from_map(map.clone(), arrays, width_m)?,
+            Some(map) => diversity_from_map(map, arrays, &telescope.pupil)?,
             None => Diversity::new(scene, &telescope)?,
         };
         let recipe = Recipe::from_scene(scene);
@@ -125,15 +126,16 @@ fn ncpa_from_maps(mut maps: Array3<f64>, arrays: &Arrays, telescope: &Telescope)
     on_grid(names, vec![Group::Ncpa; count], maps, &telescope.pupil)
 }
 
-fn diversity_from_map(mut map: Array2<f64>, arrays: &Arrays, width_m: f64) -> Result<Diversity> {
+fn diversity_from_map(map: &Array2<f64>, arrays: &Arrays, pupil: &Pupil) -> Result<Diversity> {
     let ((rows, columns), (samples, _)) = (map.dim(), arrays.amplitude.dim());
     if (rows, columns) != (samples, samples) {
         return Err(Error::Shape(format!(
             "the diversity has {columns}x{rows} samples where the pupil has {samples}x{samples}"
         )));
     }
-    check_finite_in_pupil(map.view_mut(), "the diversity", &arrays.amplitude)?;
-    Ok(Diversity::Map(MapOnGrid::new(map, width_m)?))
+    check_finite_in_pupil(map.clone().view_mut(), "the diversity", &arrays.amplitude)?;
+    let width_m = pupil.grid.width_m();
+    Ok(Diversity::Map(MapOnGrid::new(continued(map, width_m, pupil), width_m)?))
 }
 
 /// Refuses values that are not finite at illuminated samples, and replaces them by 0 elsewhere: maps are commonly NaN outside

@@ -5,14 +5,12 @@
 
 use super::images::{Images, Trust};
 use super::instrument;
+use crate::agreement::{Compared, Disagreement, GAIN, padded_counts};
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
-use crate::scene::{Method, Scene};
+use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
 use std::borrow::Cow;
-
-/// Key of the gain.
-const GAIN: &str = "image.gain_e_per_adu";
 
 /// Images in electrons, as the methods of an estimate take them.
 pub(super) struct Electrons<'a> {
@@ -77,8 +75,9 @@ pub(super) struct Contradiction {
 /// [`Error::Image`] for a file that contradicts the scene, and for pixels that are not in electrons and have no gain;
 /// [`Error::Scene`] for a value of the file that the scene does not accept.
 pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consistent<'a>> {
+    let (scene_now, remarks) = (scene.clone(), images.remarks.clone());
     let mut comparison =
-        Comparison { images, scene: scene.clone(), is_changed: false, contradictions: Vec::new(), remarks: Vec::new() };
+        Comparison { images, scene: scene_now, is_changed: false, contradictions: Vec::new(), remarks };
     if let Some(of_file) = &images.scene {
         for (key, file_value, value) in instrument::differences(of_file, &comparison.scene.clone()) {
             let (shown_key, shown) = scene.own_text(key, &file_value);
@@ -131,63 +130,32 @@ impl Comparison<'_> {
 
     /// Compares the cards with the keys. `given` is the scene before any comparison.
     fn compare_facts(&mut self, given: &Scene) -> Result<()> {
-        let wavelength_nm = self.scene.image.wavelength_nm;
-        self.compare(Quantity::WavelengthNm, "image.wavelength_nm", wavelength_nm, |nm| nm)?;
+        self.compare(Quantity::WavelengthNm)?;
         // A file that is trusted may name the wavelength, which is more exact than the centre of its filter's band.
         if self.images.trust != Trust::File || self.facts(Quantity::WavelengthNm).is_empty() {
-            let wavelength_nm = self.scene.image.wavelength_nm;
-            self.compare(Quantity::BandNm, "image.wavelength_nm", wavelength_nm, |nm| nm)?;
+            self.compare(Quantity::BandNm)?;
         }
-        // The pixel on the sky is λ/grid_m over the sampling, so the sampling is as much larger as the pixel is smaller.
         // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
         // file's wavelength, where it is trusted, needs the sampling that goes with it.
         let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| fact.agrees(mas));
         let is_settled = self.images.trust != Trust::File && given.pixel_mas().is_some_and(agrees);
-        if let Some(pixel_mas) = self.scene.pixel_mas().filter(|_| !is_settled) {
-            let sampling = self.scene.image.samples_per_lambda_over_d;
-            let key = "image.samples_per_lambda_over_d";
-            let sampling_of = |mas: f64| if mas == pixel_mas { sampling } else { sampling * (pixel_mas / mas) };
-            self.compare(Quantity::PixelMas, key, pixel_mas, sampling_of)?;
+        if !is_settled {
+            self.compare(Quantity::PixelMas)?;
         }
-        if let Some(read_noise_e) = self.scene.image.read_noise_e.filter(|_| self.images.read_noise_e.is_none()) {
-            self.compare(Quantity::ReadNoiseE, "image.read_noise_e", read_noise_e, |e| e)?;
+        if self.images.read_noise_e.is_none() {
+            self.compare(Quantity::ReadNoiseE)?;
         }
-        if self.scene.names("image.exposure_s") {
-            let exposure_s = self.scene.image.exposure_s;
-            self.compare(Quantity::ExposureS, "image.exposure_s", exposure_s, |s| s)?;
-        }
-        // A modal estimate fits the background.
-        if self.scene.estimate.method == Method::FullPhase && self.scene.names("image.background_e") {
-            let background_e = self.scene.image.background_e;
-            self.compare(Quantity::BackgroundE, "image.background_e", background_e, |e| e)?;
-        }
-        if let Some(gain) = self.scene.image.gain_e_per_adu {
-            self.compare(Quantity::GainEPerAdu, GAIN, gain, |gain| gain)?;
-        }
-        Ok(())
+        [Quantity::ExposureS, Quantity::BackgroundE, Quantity::GainEPerAdu]
+            .into_iter()
+            .try_for_each(|quantity| self.compare(quantity))
     }
 
-    /// Compares the cards of a quantity with `value`, which `key` of the scene gives; `to_key` is the value of the key for a
-    /// quantity. Where there are several cards (such as a central and an effective wavelength), one that agrees is enough.
-    fn compare(&mut self, quantity: Quantity, key: &str, value: f64, to_key: impl Fn(f64) -> f64) -> Result<()> {
-        let facts = self.facts(quantity);
-        let Some(first) = facts.first().filter(|_| !facts.iter().any(|fact| fact.agrees(value))) else {
-            return Ok(());
-        };
-        let distance = |stated: f64| (stated / value).ln().abs();
-        let nearest = first.values.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
-        let Some(stated) = nearest else { return Ok(()) };
-        let card = format!("card {} = {}", first.keyword, first.written);
-        let shown = match quantity {
-            Quantity::PixelMas => format!(" ({stated:.3} mas, not {value:.3})"),
-            Quantity::BandNm => {
-                let least_over_centre = 1.0 - first.tolerance;
-                format!(" ({:.0} to {:.0} nm)", stated * least_over_centre, stated / least_over_centre)
-            }
-            _ => String::new(),
-        };
-        let before = to_key(value).to_string();
-        self.decide(key, card + &shown, before, &to_key(stated).to_string())
+    /// Compares the cards of a quantity with the scene.
+    fn compare(&mut self, quantity: Quantity) -> Result<()> {
+        let Some(compared) = Compared::new(&self.scene, quantity) else { return Ok(()) };
+        let Some(Disagreement { card, stated }) = compared.disagreement(&self.images.facts) else { return Ok(()) };
+        let [before, of_file] = [compared.value, stated].map(|value| compared.of_key(value).to_string());
+        self.decide(compared.key, card, before, &of_file)
     }
 
     /// Decides between the file's value of `key` and the scene's.
@@ -271,6 +239,14 @@ impl Comparison<'_> {
             }
         };
         if let Some((gain, source)) = &found {
+            let is_forced = self.is_decided(GAIN);
+            let read_noise_e =
+                self.scene.image.read_noise_e.or(self.images.read_noise_e).or_else(|| self.read_noise_e());
+            let padded = padded_counts::found(self.images.images_e.view(), *gain, read_noise_e);
+            if let Some(padded) = padded.as_ref().filter(|padded| padded.contradicts && !is_forced) {
+                return Err(Error::Image(padded.refusal(*gain, source)));
+            }
+            self.remarks.extend(padded.map(|padded| padded.remark(*gain)));
             self.remarks.push(format!("The images were converted to electrons: {gain} per count ({source})."));
         }
         Ok(found.map(|(gain, _)| gain))

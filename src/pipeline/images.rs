@@ -42,6 +42,8 @@ pub struct Images {
     pub channel: Option<String>,
     /// Sentences on what was repaired or masked when the images were read; they join the warnings of an estimate.
     pub notes: Vec<String>,
+    /// Sentences on what the file has that was not read; they join the remarks of an estimate.
+    pub remarks: Vec<String>,
 }
 
 /// Which of two values holds where an image file contradicts the scene.
@@ -110,6 +112,7 @@ impl Images {
             overrides: Vec::new(),
             channel: None,
             notes: Vec::new(),
+            remarks: Vec::new(),
         }
     }
 
@@ -159,6 +162,12 @@ impl Images {
             let masked = note_of_masked(read.non_finite);
             images.notes = read.repaired.into_iter().chain(read.notes).chain(found.left_out).chain(masked).collect();
             (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);
+            images.remarks = read.remarks;
+            if images.unit == PixelUnit::Unstated {
+                let sentence =
+                    "The file has no card BUNIT: its pixels are electrons, unless the scene has image.gain_e_per_adu.";
+                images.remarks.push(sentence.into());
+            }
             images.scene = scene.as_ref().and_then(|scene| own_scene(scene, images.channel.as_deref()));
             (images.slopes_mas, images.truth) = (found.slopes, truth.clone());
             images.moved_reference_mas.clone_from(&moved);
@@ -243,6 +252,7 @@ impl Images {
             overrides: self.overrides.clone(),
             channel: self.channel.clone(),
             notes: self.notes.clone(),
+            remarks: self.remarks.clone(),
         }
     }
 
@@ -271,6 +281,17 @@ impl Images {
         if self.bad.dim() != self.images_e.dim() {
             let (mask, images) = (self.bad.dim(), self.images_e.dim());
             return Err(Error::Shape(format!("the mask of bad pixels has the shape {mask:?}: {images:?} is accepted")));
+        }
+        // Of an image that is bad altogether the result says that it cannot be used.
+        let marked = self.bad.iter().zip(&self.images_e).filter(|(bad, value)| **bad && value.is_finite()).count();
+        let share = marked as f64 / self.bad.len().max(1) as f64;
+        if share > io::MOST_MARKED && share < 1.0 {
+            return Err(Error::Image(format!(
+                "the mask marks {:.1} % of the pixels as bad: at most {} % are accepted; in a map of good pixels true and false must \
+                 change places",
+                100.0 * share,
+                100.0 * io::MOST_MARKED
+            )));
         }
         if let Some(noise_e) = self.read_noise_e.filter(|noise_e| !(noise_e.is_finite() && *noise_e >= 0.0)) {
             return Err(Error::Value(format!("read_noise_e is {noise_e}: 0 electrons or more is accepted")));

@@ -15,7 +15,7 @@ use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};
 use crate::scene::{AoKnowledge, Scene, SensorScene, Telemetry};
 use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::statistics::upper_median;
-use crate::telescope::Telescope;
+use crate::telescope::{Telescope, unit_remark};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis};
 use std::time::Instant;
@@ -123,6 +123,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
         remarks.extend(warnings::orientation_remark(&found.scene, &telescope)?);
     }
+    remarks.extend(unit_remark(&found.scene)?);
     let pupil = found.pupil.clone();
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
     Ok(Estimate {

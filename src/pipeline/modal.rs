@@ -12,6 +12,7 @@ use crate::metrics::MapGram;
 use crate::modal::{self, FitSeries, FittedOptic, Model};
 use crate::modes::Group;
 use crate::scene::NollRange;
+use crate::telescope::unit_remark;
 use ndarray::Array2;
 use std::sync::Arc;
 
@@ -41,6 +42,7 @@ impl Fitted {
             warnings::diversity_remark(&diversity, scene_used),
             warnings::averaged_pupil_remark(scene_used, &model.telescope),
             warnings::orientation_remark(scene_used, &model.telescope)?,
+            unit_remark(scene_used)?,
         ];
         let outcomes = found.images.iter().enumerate().map(|(image, report)| {
             let is_in = |list: &[usize]| list.contains(&image);

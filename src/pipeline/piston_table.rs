@@ -1,12 +1,12 @@
 //! Table of a piston for each segment, from another program.
 
-use crate::io::{FitsReader, read_text, text_rows};
-use crate::telescope::SegmentPlace;
+use crate::io::{FitsReader, TextTable, read_text};
+use crate::telescope::{SegmentPlace, likely_unit};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Reads the piston of each of the segments `places`, nm, in their order. A text table (`.txt`, `.csv`, `.dat`) has rows of segment and
-/// piston, separated by white space or a comma, and comments after `#`. A FITS file has them in the column `PISTON_NM` of a table
+/// Reads the piston of each of the segments `places`, nm, in their order. A text table (`.txt`, `.csv`, `.dat`; [`TextTable`]) has
+/// rows of segment and piston, or columns of these names. A FITS file has them in the column `PISTON_NM` of a table
 /// `SEGMENTS`, beside a column `LABEL` or `SEGMENT`, as an estimate has; without either, in the order of the segments. Segments are
 /// addressed by their labels ([`SegmentPlace::label`]) or, all of them, by their numbers.
 ///
@@ -31,15 +31,25 @@ pub fn read_pistons(path: &Path, places: &[SegmentPlace]) -> Result<Vec<f64>> {
     rows.and_then(|rows| ordered(&rows, places)).map_err(|reason| Error::file(path, reason))
 }
 
-/// Segments and pistons of a text table, or why it is not accepted.
+/// Segments and pistons of a text table, or why it is not accepted. Pistons are in the unit that the name of their column ends with, else
+/// in nm.
 fn parse(text: &str) -> std::result::Result<Vec<(String, f64)>, String> {
-    let rows = text_rows(text).into_iter().map(|row| {
-        if row.words.len() != 2 {
-            return Err(row.at("a segment's number or label and its piston in nm are needed"));
-        }
-        Ok((row.words[0].to_owned(), row.number(1, "a piston in nm")?))
+    let table = TextTable::new(text);
+    let named = table.column(&["label", "segment"]).zip(table.column(&["piston"]));
+    let (of_segment, of_piston) = named.unwrap_or((0, 1));
+    let unit_nm = table.unit_nm(of_piston);
+    let rows = table.rows.iter().map(|row| {
+        let word = row.words.get(of_segment).filter(|_| named.is_some() || row.words.len() == 2);
+        let word = word.ok_or_else(|| row.at("a segment's number or label and its piston in nm are needed"))?;
+        // A number as NumPy writes it is that number; other words are labels.
+        let segment = row.integer(of_segment).map_or_else(|| word.clone(), |number| number.to_string());
+        Ok((segment, row.number(of_piston, "a piston in nm")? * unit_nm.unwrap_or(1.0)))
     });
-    rows.collect()
+    let rows: Vec<(String, f64)> = rows.collect::<std::result::Result<_, String>>()?;
+    match likely_unit(rows.iter().map(|(_, nm)| *nm)).filter(|_| unit_nm.is_none()) {
+        Some(likely) => Err(format!("no unit of the pistons is named, and {likely}: a column piston_nm is needed")),
+        None => Ok(rows),
+    }
 }
 
 /// The pistons in the order of `places`, or why they are not accepted.
@@ -95,6 +105,9 @@ mod tests {
         assert_eq!(read("1 2\n2 -3.5\n", &["1", "2"]).unwrap(), [2.0, -3.5]);
         assert_eq!(read("9 4\n2 5\n", &["2", "9"]).unwrap(), [5.0, 4.0]);
         assert_eq!(read("0 4\n1 5\n", &["2", "9"]).unwrap(), [4.0, 5.0]);
+        // As pandas writes the table of an estimate, and as NumPy writes numbers.
+        assert_eq!(read(",RING,LABEL,PISTON_UM\n0,1,2,0.5\n1,1,9,-0.25\n", &["2", "9"]).unwrap(), [500.0, -250.0]);
+        assert_eq!(read("0.0e+00 4.0e+00\n1.0e+00 5.0D0\n", &["0", "1"]).unwrap(), [4.0, 5.0]);
         assert_eq!(read("B2 4\nA1 5\n", &["A1", "B2"]).unwrap(), [5.0, 4.0]);
         for (text, labels, expected) in [
             ("0 1\n", &["0", "1"], "segment 1 is missing | 0 to 1"),
@@ -102,6 +115,7 @@ mod tests {
             ("1 1\n2 1\n", &["0", "1"], "no segment 2 | 0 to 1"),
             ("1 1\n2 1\n", &["2", "9"], "no segment 2 | 0 to 1 | labels 2 to 9"),
             ("0 1 2\n", &["0", "1"], "line 1 | number or label"),
+            ("0 8e-8\n1 -5e-8\n", &["0", "1"], "no unit | RMS | m"),
             ("0 x\n", &["0", "1"], "line 1 | 'x' | finite number | nm"),
         ] {
             let reason = read(text, labels).unwrap_err();

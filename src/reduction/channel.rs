@@ -1,6 +1,7 @@
 //! Channel that a frame of the star belongs to.
 
 use super::frame::Frame;
+use crate::agreement::Compared;
 use crate::io::{HeaderFact, Quantity};
 use crate::scene::Scene;
 
@@ -8,7 +9,7 @@ use crate::scene::Scene;
 pub(super) fn channel_of(frame: &Frame, scene: &Scene, overrides: &[String]) -> std::result::Result<usize, String> {
     let channels = scene.channels();
     let scene_of = |channel: usize| channels.get(channel).map_or(scene, |channel| &channel.scene);
-    let disagrees = |channel: usize| wavelength_contradiction(frame, scene_of(channel), overrides);
+    let disagrees = |channel: usize| contradiction(frame, scene_of(channel), overrides);
     if channels.is_empty() {
         return disagrees(0).map_or(Ok(0), Err);
     }
@@ -22,28 +23,27 @@ pub(super) fn channel_of(frame: &Frame, scene: &Scene, overrides: &[String]) -> 
     let has_wavelength = frame.header.facts.iter().any(is_wavelength);
     match agreeing.as_slice() {
         [only] if has_wavelength => Ok(*only),
-        [] => Err(format!("its wavelength is that of none of the channels {}", names())),
+        [] => {
+            let first = disagrees(0).unwrap_or_default();
+            Err(format!("its header is that of none of the channels {}: {first}", names()))
+        }
         _ => {
             Err(format!("its header does not say which of the channels {} it is of (--channel NAME=PATTERN)", names()))
         }
     }
 }
 
-/// How the wavelength or the filter of a frame contradicts a scene.
-fn wavelength_contradiction(frame: &Frame, scene: &Scene, overrides: &[String]) -> Option<String> {
-    let key = "image.wavelength_nm";
-    if overrides.iter().any(|known| known == key) {
-        return None;
-    }
-    let contradiction = |quantity: Quantity| {
-        let facts: Vec<&HeaderFact> = frame.header.facts.iter().filter(|fact| fact.quantity == quantity).collect();
-        let first = facts.first()?;
-        let agrees = facts.iter().any(|fact| fact.agrees(scene.image.wavelength_nm));
-        let wavelength_nm = scene.image.wavelength_nm;
-        (!agrees)
-            .then(|| format!("card {} = {} where the scene has {key} = {wavelength_nm}", first.keyword, first.written))
-    };
-    contradiction(Quantity::WavelengthNm).or_else(|| contradiction(Quantity::BandNm))
+/// How the cards of a frame contradict a scene, in what an estimate compares with the images that are made of it: noise and gain are the
+/// reduction's own.
+fn contradiction(frame: &Frame, scene: &Scene, overrides: &[String]) -> Option<String> {
+    let quantities = [Quantity::WavelengthNm, Quantity::BandNm, Quantity::PixelMas, Quantity::ExposureS];
+    quantities.into_iter().find_map(|quantity| {
+        let compared = Compared::new(scene, quantity)?;
+        let is_open = !overrides.iter().any(|known| known == compared.key);
+        let found = compared.disagreement(&frame.header.facts).filter(|_| is_open)?;
+        let (key, value) = (compared.key, compared.of_key(compared.value));
+        Some(format!("{} where the scene has {key} = {value} (--set {key}={value} keeps the scene's)", found.card))
+    })
 }
 
 fn is_wavelength(fact: &HeaderFact) -> bool {

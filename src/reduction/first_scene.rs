@@ -165,7 +165,7 @@ fn image(
         None => line(
             "read_noise_e",
             "60.0".into(),
-            format!("{UNKNOWN}: read noise of one coadd; without this line that of the darks is used"),
+            format!("{UNKNOWN}: read noise of one coadd; darks, where there are any, are used in its place"),
         ),
     }
     // Images in electrons have neither a gain nor a level in counts.

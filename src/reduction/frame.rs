@@ -56,6 +56,10 @@ pub struct Frame {
     pub bad: Array2<bool>,
     /// Header.
     pub header: FrameHeader,
+    /// What a user should know of its file: repairs, images that were not read.
+    pub notes: Vec<String>,
+    /// The same, where it puts nothing in doubt: amplifiers that were put together, cards that are not read.
+    pub remarks: Vec<String>,
 }
 
 impl Frame {
@@ -85,6 +89,7 @@ impl Frame {
         // With rules, a frame that fits none is in no channel.
         let channel = ruled.or_else(|| images.channel.filter(|_| rules.is_empty()));
         let planes = images.data.len_of(Axis(0));
+        let notes: Vec<String> = images.repaired.into_iter().chain(images.notes).collect();
         let each = images.data.outer_iter().zip(images.bad.outer_iter()).enumerate().map(|(plane, (data, bad))| Self {
             name: if planes == 1 { file_name.clone() } else { format!("{file_name}#{}", plane + 1) },
             class,
@@ -94,8 +99,15 @@ impl Frame {
             data: data.to_owned(),
             bad: bad.to_owned(),
             header: header.clone(),
+            notes: notes.clone(),
+            remarks: images.remarks.clone(),
         });
         Ok(each.collect())
+    }
+
+    /// This frame of a camera that averages its coadds, as one of a camera that sums them.
+    pub(super) fn with_summed_coadds(&self) -> Self {
+        Self { data: &self.data * self.coadds(), ..self.clone() }
     }
 
     /// Number of coadds.
@@ -174,9 +186,10 @@ impl Cards<'_> {
             let fact = facts.iter().find(|fact| fact.quantity == Quantity::ExposureS && fact.keyword == keyword);
             fact.and_then(|fact| fact.values.first().copied())
         };
-        // ITIME is the time of one coadd (NIRC2); the others are that of the whole frame.
+        // ITIME is the time of one coadd (NIRC2, OSIRIS); the others are that of the whole frame.
         let whole = ["EXPTIME", "EXPOSURE", "TEXP"].iter().find_map(|keyword| exposure(keyword));
-        let itime_s = exposure("ITIME").or_else(|| Some(whole? / f64::from(coadds)));
+        let of_coadd = io::COADD_TIMES.iter().find_map(|keyword| exposure(keyword));
+        let itime_s = of_coadd.or_else(|| Some(whole? / f64::from(coadds)));
         let read_mode =
             [self.text("SAMPMODE"), self.text("MULTISAM")].into_iter().flatten().collect::<Vec<_>>().join("/");
         let filter = ["FILTER", "FILTNAME", "FILTNAM", "FILTER1"].iter().find_map(|key| self.text(key));

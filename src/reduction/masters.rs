@@ -3,7 +3,7 @@
 use super::classify::FrameClass;
 use super::frame::{Frame, FrameHeader};
 use super::log::LogRow;
-use super::noise::{median_variance, scatter};
+use super::noise::{clipped_scatter, median_variance, scatter};
 use crate::statistics::median;
 use ndarray::{Array2, Zip, s};
 
@@ -77,7 +77,7 @@ pub(super) fn darks(frames: &[Frame], rows: &mut [LogRow]) -> Vec<Dark> {
         let each: Vec<Array2<f64>> = group.iter().map(|&index| of_one_coadd(&frames[index])).collect();
         let coadds = group.iter().map(|&index| frames[index].coadds()).sum::<f64>() / group.len() as f64;
         let differences: Vec<f64> =
-            each.windows(2).map(|pair| scatter((&pair[1] - &pair[0]).iter().copied())).collect();
+            each.windows(2).map(|pair| clipped_scatter((&pair[1] - &pair[0]).iter().copied())).collect();
         let read_noise_adu = (!differences.is_empty()).then(|| median(&differences) / 2f64.sqrt() * coadds.sqrt());
         let counts = median_of(&each);
         let variance = median_variance(group.len()) / coadds;

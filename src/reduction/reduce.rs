@@ -30,7 +30,25 @@ struct Image {
 /// [`Error::Image`] where no frame of the star is left, or one of a channel; for counts without a gain or with two; for frames of another
 /// shape than the mask; [`Error::Value`] where the memory does not hold the frames.
 pub fn reduce(scene: &Scene, frames: &[Frame], options: &ReductionOptions) -> Result<Reduction> {
+    if scene.image.coadds_are_averaged {
+        let summed: Vec<Frame> = frames.iter().map(Frame::with_summed_coadds).collect();
+        return Reducer::new(scene, &summed, options)?.run();
+    }
     Reducer::new(scene, frames, options)?.run()
+}
+
+/// The sentences on files that `of` gives, each once, with the number of frames that it is said of.
+fn said_once(frames: &[Frame], of: fn(&Frame) -> &[String]) -> Vec<String> {
+    let mut said: Vec<(&str, usize)> = Vec::new();
+    for sentence in frames.iter().flat_map(of) {
+        match said.iter_mut().find(|(known, _)| known == sentence) {
+            Some((_, count)) => *count += 1,
+            None => said.push((sentence, 1)),
+        }
+    }
+    said.into_iter()
+        .map(|(sentence, count)| format!("{sentence} ({count} frame{})", if count == 1 { "" } else { "s" }))
+        .collect()
 }
 
 struct Reducer<'a> {
@@ -85,8 +103,10 @@ impl<'a> Reducer<'a> {
             row.reject("not used");
         }
         self.check_read_noise();
+        self.calibration.warnings.extend(said_once(self.frames, |frame| &frame.notes));
         let (bad_pixels, steps) = (self.calibration.bad_pixels(), self.steps(&skies));
-        Ok(Reduction { channels, log: self.rows, warnings: self.calibration.warnings, bad_pixels, steps })
+        let remarks = said_once(self.frames, |frame| &frame.remarks);
+        Ok(Reduction { channels, log: self.rows, warnings: self.calibration.warnings, remarks, bad_pixels, steps })
     }
 
     /// Scene of a channel.
@@ -155,8 +175,9 @@ impl<'a> Reducer<'a> {
         }
         let stated_read_noise_e = stated_read_noise_e(frame.frame, scene);
         let of_dark = frame.dark.and_then(|dark| Some(self.calibration.darks[dark].read_noise_adu? * frame.gain));
-        // Without a dark nothing tells the sky, which has photon noise, from the bias, which has none.
-        let known = stated_read_noise_e.or(of_dark).filter(|_| frame.dark.is_some());
+        // Darks have the photon noise of the dark current, which no read noise states. Without a dark nothing tells the sky, which has
+        // photon noise, from the bias, which has none.
+        let known = of_dark.or(stated_read_noise_e).filter(|_| frame.dark.is_some());
         let variance = match known {
             Some(read_noise_e) => {
                 let (coadds, dark) = (frame.frame.coadds(), frame.dark_variance);
@@ -222,7 +243,7 @@ impl<'a> Reducer<'a> {
         }
     }
 
-    /// Compares the read noise that was stated with that of the darks.
+    /// Compares the read noise that was stated with that of the darks, which is used.
     fn check_read_noise(&mut self) {
         let stated = self
             .frames
@@ -243,7 +264,8 @@ impl<'a> Reducer<'a> {
         let ratio = of_dark * gain / read_noise_e;
         if !(0.8..=1.25).contains(&ratio) {
             self.calibration.warnings.push(format!(
-                "the darks scatter by {:.1} electrons in one coadd, where the read noise is stated as {read_noise_e}: the stated one was used",
+                "the darks scatter by {:.1} electrons in one coadd, where the read noise is stated as {read_noise_e}: that of the darks was \
+                 used, which has the noise of the dark current",
                 of_dark * gain
             ));
         }

@@ -84,19 +84,39 @@ pub(super) fn saturation(
         }
     });
     let peak = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let reason = match saturation_adu {
-        Some(limit) => {
-            let above = values.iter().filter(|value| **value >= limit).count();
-            (above > 0).then(|| format!("saturated: {above} pixels of the star at {limit} counts or more in one coadd"))
+    let above = saturation_adu.map_or(0, |limit| values.iter().filter(|value| **value >= limit).count());
+    let reason = match (saturation_adu, plateau(&values, peak, saturation_adu.is_some())) {
+        (Some(limit), _) if above > 0 => {
+            Some(format!("saturated: {above} pixels of the star at {limit} counts or more in one coadd"))
         }
-        None => {
-            let equal = values.iter().filter(|value| **value == peak).count();
-            (equal >= PLATEAU).then(|| {
-                format!("saturated: {equal} pixels of the star have the same largest value, {peak} counts in one coadd")
-            })
+        (limit, Some(equal)) => {
+            let of_mean =
+                limit.filter(|limit| frame.coadds() > 1.0 && (frame.coadds() * peak / limit - 1.0).abs() < 1e-3);
+            let of_mean = of_mean.map(|limit| {
+                let coadds = frame.coadds();
+                format!(
+                    ", which is {limit} in the file and the level of saturation: a camera that averages its {coadds} coadds needs \
+                     image.coadds_are_averaged = true"
+                )
+            });
+            Some(format!(
+                "saturated: {equal} pixels of the star have the same largest value, {peak} counts in one coadd{}",
+                of_mean.unwrap_or_default()
+            ))
         }
+        _ => None,
     };
     (peak, reason)
+}
+
+/// Number of pixels of `values` that have one largest value, `peak`, where they are a plateau. Where the level of saturation `is_known` few
+/// faint pixels of whole counts are none: fewer must be just below than on it.
+fn plateau(values: &[f64], peak: f64, is_known: bool) -> Option<usize> {
+    let equal = values.iter().filter(|value| **value == peak).count();
+    // 2 % of a clipped peak, and more than the noise of a few counts.
+    let edge = peak - (0.02 * peak.abs()).max(3.0);
+    let below = values.iter().filter(|value| **value < peak && **value >= edge).count();
+    (equal >= PLATEAU && (!is_known || below < equal)).then_some(equal)
 }
 
 /// Rejects the trailed ones of the frames of a channel, whose rows are `rows[which]`.

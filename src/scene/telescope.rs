@@ -76,6 +76,8 @@ section! {
         gain_e_per_adu: Option<f64>, above(0.0, 1e9), unset("given by the image file; images without a unit are in electrons");
         /// Counts of one coadd from which a pixel is saturated. Read by 'cophase reduce'.
         saturation_adu: Option<f64>, above(0.0, 1e9), unset("given by the raw frame; else several pixels with one largest value");
+        /// Whether the camera averages its coadds, where others sum them. Read by 'cophase reduce'.
+        coadds_are_averaged: bool, ANY, default(false);
         /// Background of a pixel. Read by simulations and full-phase estimates; modal estimates fit it.
         background_e: f64, between(0.0, 1e12), default(0.0);
         /// Whether the images have photon noise. Simulation only.

@@ -1,11 +1,11 @@
 //! Table of a filter's transmission.
 
-use crate::io::{read_text, text_rows};
+use crate::io::{TextTable, read_text};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Reads a text table of two columns, separated by white space or a comma: wavelength, nm, ascending, and relative transmission. Comments
-/// begin with `#`.
+/// Reads a text table ([`TextTable`]) of two columns: wavelength, ascending, in nm or the unit that the name of its column ends with, and
+/// relative transmission.
 ///
 /// # Errors
 /// [`Error::File`] with the line, for a file that cannot be read or is not such a table.
@@ -17,12 +17,14 @@ pub(super) fn read(path: &Path) -> Result<Vec<(f64, f64)>> {
 fn parse(text: &str) -> std::result::Result<Vec<(f64, f64)>, String> {
     const COLUMNS: &str = "wavelength (nm) and transmission";
     let mut rows: Vec<(f64, f64)> = Vec::new();
-    for row in text_rows(text) {
+    let table = TextTable::new(text);
+    let unit_nm = table.unit_nm(0).unwrap_or(1.0);
+    for row in &table.rows {
         if row.words.len() != 2 {
             let count = row.words.len();
             return Err(row.at(format_args!("{count} columns; {COLUMNS} are needed, comments begin with '#'")));
         }
-        let (nm, transmission) = (row.number(0, "a wavelength in nm")?, row.number(1, "a transmission")?);
+        let (nm, transmission) = (unit_nm * row.number(0, "a wavelength in nm")?, row.number(1, "a transmission")?);
         if nm <= 0.0 {
             return Err(row.at(format_args!("a wavelength of {nm} nm; a positive one is needed")));
         }
@@ -52,6 +54,7 @@ mod tests {
     fn columns_may_have_commas_comments_and_empty_lines() {
         let text = "\u{feff}# nm, transmission\r\n2000, 0.5\r\n\r\n 2010\t5e-1 # middle\n2020.5 ,0\n";
         assert_eq!(parse(text).unwrap(), [(2000.0, 0.5), (2010.0, 0.5), (2020.5, 0.0)]);
+        assert_eq!(parse("Wavelength(um);T\n2;0,5\n2,5;1\n").unwrap(), [(2000.0, 0.5), (2500.0, 1.0)]);
     }
 
     #[test]
@@ -63,7 +66,7 @@ mod tests {
             ("2000 1\n2000 0\n", "2000 nm follows 2000 nm"),
             ("2000 1\n2010 -0.1\n", "line 2: a transmission of -0.1"),
             ("2000 NaN\n2010 1\n", "line 1: 'NaN' is not a finite number"),
-            ("wavelength transmission\n", "'wavelength' is not a finite number"),
+            ("wavelength transmission\nx y\n", "'wavelength' is not a finite number"),
             ("-1 0\n1 0\n", "a wavelength of -1 nm"),
             ("2000 1\n", "2 or more are needed"),
             ("", "2 or more are needed"),

@@ -5,6 +5,7 @@
 //! sampling.
 
 mod band;
+mod continuation;
 mod diversity;
 mod filter;
 mod filter_file;
@@ -20,10 +21,11 @@ pub(crate) mod valid_map;
 
 pub use band::band;
 pub(crate) use band::wavelengths_to;
+pub(crate) use continuation::continued;
 pub use diversity::Diversity;
 pub use filter::Filter;
 pub use map_on_grid::MapOnGrid;
 pub use model::Telescope;
-pub use opd::{OpdMap, SegmentPlane};
+pub use opd::{OpdMap, SegmentPlane, likely_unit, unit_remark};
 pub use pixels::pixel_response;
 pub use places::SegmentPlace;

@@ -2,7 +2,7 @@
 //!
 //! | Card | What it says |
 //! |---|---|
-//! | `BUNIT` | unit: nm, um, m and their names; nm without it |
+//! | `BUNIT` | unit: nm, um, m, mm, Angstrom and their names; nm without it, where the map is plausible so |
 //! | `GRID_M`, else `PUPLSCAL`, else `PIXELSCL` | width of the map; distance of its samples, m |
 //! | `S01PISTN`, `S01XTILT`, `S01YTILT`, … | piston and tilts of each segment, m, that the map does **not** hold |
 //!
@@ -10,9 +10,11 @@
 //! `stpsf.opds.OTE_Linear_Model_WSS`). With r half of a segment's extent along x, about its centre, they are the coefficients of 1, y/r (a
 //! tilt about x) and x/r (a tilt about y), those of `poppy.zernike.hexike_basis_wss`.
 
+use super::continuation::continued;
 use super::map_on_grid::MapOnGrid;
 use crate::io::{Card, FitsReader};
 use crate::pupil::Pupil;
+use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::path::Path;
@@ -39,8 +41,14 @@ impl OpdMap {
     /// and cards of segments with a gap between them.
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = FitsReader::open(path)?;
-        let nm = unit_nm(&mut file)?.unwrap_or(1.0);
-        let values_nm = file.map(None)? * nm;
+        let nm = unit_nm(&mut file)?;
+        let values_nm = file.map(None)? * nm.unwrap_or(1.0);
+        if let Some(likely) = likely_unit(values_nm.iter().copied()).filter(|_| nm.is_none()) {
+            return Err(Error::file(
+                path,
+                format_args!("no card BUNIT has the unit of the map, and {likely}: BUNIT is needed"),
+            ));
+        }
         let (rows, columns) = values_nm.dim();
         if rows != columns {
             return Err(Error::file(
@@ -60,13 +68,14 @@ impl OpdMap {
         MapOnGrid::new(self.values_nm.clone(), self.width_m.unwrap_or(width_m))
     }
 
-    /// As [`OpdMap::on_width`] of the grid of `pupil`.
+    /// As [`OpdMap::on_width`] of the grid of `pupil`, with what the map does not have beyond the edge continued from inside.
     ///
     /// # Errors
     /// [`Error::Value`] for a map that is narrower than the pupil: its cards have another unit, or it is one of another telescope.
     pub fn over(&self, pupil: &Pupil) -> Result<MapOnGrid> {
-        check_width(self.width_m.unwrap_or(pupil.grid.width_m()), pupil)?;
-        self.on_width(pupil.grid.width_m())
+        let width_m = self.width_m.unwrap_or(pupil.grid.width_m());
+        check_width(width_m, pupil)?;
+        MapOnGrid::new(continued(&self.values_nm, width_m, pupil), width_m)
     }
 
     /// Pistons and slopes of the segments of `pupil` that are not in the map; `None` without cards of segments.
@@ -88,6 +97,35 @@ impl OpdMap {
     }
 }
 
+/// Least RMS of a wavefront in nm that is believed where nothing names its unit: no telescope is as flat.
+const LEAST_RMS_NM: f64 = 0.5;
+
+/// The unit that wavefronts without one are likely in, as part of a sentence, where their RMS is too small for nm; `None` for a plausible one
+/// and for 0.
+pub fn likely_unit(values_nm: impl Iterator<Item = f64>) -> Option<String> {
+    let known = values_nm.filter(|value| value.is_finite() && *value != 0.0);
+    let (sum, count) = known.fold((0.0, 0usize), |(sum, count), value| (sum + value * value, count + 1));
+    let rms_nm = (sum / count.max(1) as f64).sqrt();
+    if rms_nm == 0.0 || rms_nm >= LEAST_RMS_NM {
+        return None;
+    }
+    let of_lengths = [("um", 1e3), ("m", 1e9)].into_iter().find(|(_, nm)| (1.0..1e5).contains(&(rms_nm * nm)));
+    let likely = of_lengths.map(|(unit, nm)| format!(", but {:.3} nm if they are in {unit}", rms_nm * nm));
+    Some(format!("the RMS of the values as nm is {rms_nm:.2e}{}", likely.unwrap_or_default()))
+}
+
+/// Remark on a map of the scene's diversity whose file does not say its unit; `None` for other scenes.
+///
+/// # Errors
+/// [`Error::File`] for a file that cannot be read, or whose unit is no length.
+pub fn unit_remark(scene: &Scene) -> Result<Option<String>> {
+    let Some(file) = &scene.image.diversity_file else { return Ok(None) };
+    let path = scene.resolve(file);
+    let is_stated = unit_nm(&mut FitsReader::open(&path)?)?.is_some();
+    let shown = path.display();
+    Ok((!is_stated).then(|| format!("The diversity was read in nm, because {shown} has no card BUNIT.")))
+}
+
 /// Unit of the first image of `file`, nm; `None` without the card `BUNIT`.
 ///
 /// # Errors
@@ -102,7 +140,18 @@ pub(super) fn unit_nm(file: &mut FitsReader) -> Result<Option<f64>> {
         "nm" | "nanometer" | "nanometre" => Ok(Some(1.0)),
         "um" | "micron" | "micrometer" | "micrometre" => Ok(Some(1e3)),
         "m" | "meter" | "metre" => Ok(Some(1e9)),
-        _ => Err(Error::file(file.path(), format_args!("BUNIT = '{unit}': nm, um and m are accepted for a wavefront"))),
+        "mm" | "millimeter" | "millimetre" => Ok(Some(1e6)),
+        "angstrom" => Ok(Some(0.1)),
+        "rad" | "radian" | "wave" => {
+            let sentence = format_args!(
+                "BUNIT = '{unit}': a length (nm, um, m, mm, Angstrom) is accepted for a wavefront, λ for a wave and λ/2π for a radian"
+            );
+            Err(Error::file(file.path(), sentence))
+        }
+        _ => {
+            let sentence = format_args!("BUNIT = '{unit}': nm, um, m, mm and Angstrom are accepted for a wavefront");
+            Err(Error::file(file.path(), sentence))
+        }
     }
 }
 

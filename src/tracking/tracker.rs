@@ -94,12 +94,12 @@ impl Tracker {
     /// Accepts an observation, holds it back as an outlier, or confirms the one before.
     fn decide(&mut self, measured: Measured, compared: Compared) -> Result<Update> {
         let memory = self.memory.as_mut().ok_or_else(damaged)?;
-        if let Some(suspect) = memory.suspect.take() {
-            if let Some(changes) = memory.confirm(&suspect, &measured, &compared)? {
-                memory.learn(&suspect);
-                memory.learn(&measured);
-                return Ok(self.changed(changes));
-            }
+        if let Some(suspect) = memory.suspect.take()
+            && let Some(changes) = memory.confirm(&suspect, &measured, &compared)?
+        {
+            memory.learn(&suspect);
+            memory.learn(&measured);
+            return Ok(self.changed(changes));
         }
         if let Some((chi2, limit)) = compared.outlier {
             memory.outliers += 1;

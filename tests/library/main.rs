@@ -8,6 +8,8 @@ mod channels;
 mod checksums;
 mod commands;
 mod consistency;
+mod detectors;
+mod diversity_map;
 mod filter;
 mod fits;
 mod full_phase;

@@ -24,18 +24,53 @@ pub fn of_mjd(mjd: f64) -> Option<f64> {
     (mjd > 0.0 && mjd < 200_000.0).then_some((mjd - MJD_1970) * DAY_S)
 }
 
-/// Seconds since 1970 of `2026-11-25T04:15:30.25` or `2026-11-25`; a `Z` may follow.
+/// Seconds since 1970 of a date with the time of the day, as FITS (`2026-11-25T04:15:30.25`) and observatories write them: a blank in place of
+/// the `T`, slashes (`2026/11/25`, `25/11/2026`), no separators (`20261125`), a `Z` or an offset from UTC (`-10:00`) behind the time.
 pub fn of_iso(text: &str) -> Option<f64> {
-    let text = text.trim().trim_end_matches('Z');
+    let text = text.trim();
     let (date, time) = text.split_once(['T', ' ']).unwrap_or((text, "0:0:0"));
-    let mut parts = date.splitn(3, '-').map(|part| part.parse::<i64>().ok());
-    let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
-    let mut clock = time.splitn(3, ':').map(|part| part.parse::<f64>().ok());
-    let (hours, minutes, seconds) = (clock.next()??, clock.next()??, clock.next().unwrap_or(Some(0.0))?);
+    let (year, month, day) = date_in(date)?;
+    let (time, offset_s) = without_offset(time.trim())?;
     let is_date = (1..=9999).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
+    is_date.then_some(days_since_1970(year, month, day) as f64 * DAY_S + time_in(time)? - offset_s)
+}
+
+/// Year, month and day of a date.
+fn date_in(date: &str) -> Option<(i64, i64, i64)> {
+    let date = date.trim();
+    if date.len() == 8 && date.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Some((date[..4].parse().ok()?, date[4..6].parse().ok()?, date[6..].parse().ok()?));
+    }
+    let parts: Vec<&str> = date.splitn(3, ['-', '/']).collect();
+    let number = |at: usize| parts.get(at)?.parse::<i64>().ok();
+    let ends = (number(0)?, number(1)?, number(2)?);
+    // A date with slashes may begin with its day: where the year is last it has four digits.
+    if date.contains('/') && parts[2].len() == 4 {
+        Some((ends.2, ends.1, ends.0))
+    } else {
+        (parts[0].len() >= 4).then_some(ends)
+    }
+}
+
+/// A time of the day without its offset from UTC, and the offset, s.
+fn without_offset(time: &str) -> Option<(&str, f64)> {
+    let time = time.strip_suffix('Z').or_else(|| time.strip_suffix(" UTC")).unwrap_or(time);
+    let Some(at) = time.rfind(['+', '-']) else { return Some((time, 0.0)) };
+    let offset_s = time_in(&time[at + 1..])?;
+    Some((&time[..at], if time[at..].starts_with('-') { -offset_s } else { offset_s }))
+}
+
+/// Seconds since midnight of a time of the day: `04:15:30.25`, `04h15m30.25s`, `04:15`, `041530`.
+pub fn time_in(time: &str) -> Option<f64> {
+    let time = time.trim().trim_end_matches('s');
+    let is_compact = time.len() >= 6 && time.bytes().take(6).all(|byte| byte.is_ascii_digit());
+    let parts: Vec<&str> =
+        if is_compact { vec![&time[..2], &time[2..4], &time[4..]] } else { time.splitn(3, [':', 'h', 'm']).collect() };
+    let number = |at: usize| parts.get(at)?.trim().parse::<f64>().ok();
+    let seconds = if parts.len() == 3 { number(2)? } else { 0.0 };
+    let (hours, minutes) = (number(0)?, number(1)?);
     let is_time = (0.0..24.0).contains(&hours) && (0.0..60.0).contains(&minutes) && (0.0..61.0).contains(&seconds);
-    (is_date && is_time)
-        .then(|| days_since_1970(year, month, day) as f64 * DAY_S + hours * 3600.0 + minutes * 60.0 + seconds)
+    is_time.then_some(hours * 3600.0 + minutes * 60.0 + seconds)
 }
 
 /// `2026-11-25T04:15:30.250Z`.
@@ -86,6 +121,16 @@ mod tests {
         ] {
             assert_eq!(of_iso(text), Some(seconds), "{text}");
             assert_eq!(of_iso(&to_iso(seconds)), Some(seconds), "{text}");
+        }
+        for text in [
+            "2026-11-25 04:15:30.25",
+            "2026/11/25T04:15:30.25",
+            "25/11/2026 04h15m30.25s",
+            "20261125T041530.25",
+            "2026-11-24T18:15:30.25-10:00",
+            "2026-11-25T04:15:30.25 UTC",
+        ] {
+            assert_eq!(of_iso(text), Some(1_795_580_130.25), "{text}");
         }
         for text in ["", "yesterday", "2026-13-01T00:00:00", "2026-11-25T25:00:00", "25/11/26", "2026-11-25T04:15:99"] {
             assert_eq!(of_iso(text), None, "{text}");

@@ -32,12 +32,18 @@ impl FrameReader {
     /// # Errors
     /// Those of [`Images::read`].
     pub fn read(&self, path: &Path, stamp: &Stamp) -> Result<FrameFile> {
-        let images = self.with_options(Images::read(path, self.mask.as_deref())?);
+        let mut images = self.with_options(Images::read(path, self.mask.as_deref())?);
         if images.is_empty() {
             return Err(Error::file(path, "holds no image"));
         }
-        let observed_s = observed(path).unwrap_or_else(|| stamp.mtime_s());
-        Ok(FrameFile { images, observed_s })
+        let Observed { time_s, unread } = observed(path);
+        if let (None, Some(card)) = (time_s, unread) {
+            images.notes.push(format!(
+                "the time of the observation is not read from the card {card}: that of the file's last change is used; \
+                 2026-11-25T04:15:30.25 is accepted"
+            ));
+        }
+        Ok(FrameFile { images, observed_s: time_s.unwrap_or_else(|| stamp.mtime_s()) })
     }
 
     /// `images` with what the command line says of them.
@@ -56,25 +62,45 @@ pub fn content(path: &Path) -> Result<Content> {
     Content::read(&mut std::fs::File::open(path).map_err(failed)?).map_err(failed)
 }
 
-/// The time of an observation in the cards of a file, the middle before the beginning (FITS standard 4.0, table 22).
-fn observed(path: &Path) -> Option<f64> {
-    let mut file = FitsReader::open(path).ok()?;
+/// The time of an observation in the cards of a file.
+#[derive(Default)]
+struct Observed {
+    /// Seconds since 1970.
+    time_s: Option<f64>,
+    /// The first card that has a time in a form that is not read.
+    unread: Option<String>,
+}
+
+/// The time of an observation, the middle before the beginning (FITS standard 4.0, table 22); then names that observatories use.
+fn observed(path: &Path) -> Observed {
+    let Ok(mut file) = FitsReader::open(path) else { return Observed::default() };
     let mut card = |key: &str| file.image_card(key).ok().flatten();
-    for key in ["DATE-AVG", "DATE-BEG", "DATE-OBS"] {
-        let Some(Card::Text(text)) = card(key) else { continue };
-        if text.contains('T') {
-            if let Some(seconds) = clock::of_iso(&text) {
-                return Some(seconds);
-            }
+    let mut unread = None;
+    for key in ["DATE-AVG", "DATE-BEG", "DATE-OBS", "DATE_OBS", "UTC-OBS", "UTDATE"] {
+        let Some(Card::Text(text)) = card(key).filter(|card| card.text().is_none_or(|text| !text.trim().is_empty()))
+        else {
             continue;
+        };
+        let has_time = text.trim().contains(['T', ' ']);
+        let own = has_time.then(|| clock::of_iso(&text)).flatten();
+        if own.is_some() {
+            return Observed { time_s: own, unread: None };
         }
-        // Keck and others keep the time of the day in a card of its own.
-        for clock_key in ["TIME-OBS", "UTC", "UT"] {
-            let Some(Card::Text(time)) = card(clock_key) else { continue };
-            if let Some(seconds) = clock::of_iso(&format!("{text}T{time}")) {
-                return Some(seconds);
-            }
+        if !has_time && let (Some(midnight_s), Some(time_s)) = (clock::of_iso(&text), time_of_day(&mut card)) {
+            return Observed { time_s: Some(midnight_s + time_s), unread: None };
         }
+        unread.get_or_insert_with(|| format!("{key} = `{}`", text.trim()));
     }
-    ["MJD-AVG", "MJD-BEG", "MJD-OBS"].into_iter().find_map(|key| clock::of_mjd(card(key)?.number()?))
+    let days = |card: Card| card.number().or_else(|| card.text()?.trim().parse().ok());
+    let of_days = ["MJD-AVG", "MJD-BEG", "MJD-OBS", "MJD_OBS", "MJD", "EXPSTART"].into_iter();
+    let found = of_days.filter_map(&mut card).filter_map(days).find_map(clock::of_mjd);
+    Observed { time_s: found.or_else(|| clock::of_mjd(days(card("JD")?)? - 2_400_000.5)), unread }
+}
+
+/// The time of the day in a card of its own, as Keck and others keep it, s; ESO's is a number of seconds.
+fn time_of_day(card: &mut impl FnMut(&str) -> Option<Card>) -> Option<f64> {
+    ["TIME-OBS", "TIME_OBS", "UTC", "UT", "UTSTART", "UT-START", "TIME"].into_iter().find_map(|key| match card(key)? {
+        Card::Text(text) => clock::time_in(&text),
+        other => other.number().filter(|seconds| (0.0..86_401.0).contains(seconds)),
+    })
 }

@@ -10,7 +10,6 @@ use cophase_view::files::{self, Settings};
 use cophase_view::interrupt::Interrupt;
 use cophase_view::outputs;
 use cophase_view::terminal::{Terminal, counted};
-use ndarray::Array2;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -98,6 +97,7 @@ struct Made<'a> {
     bad_pixels: usize,
     frames: Vec<Row<'a>>,
     warnings: &'a [String],
+    remarks: &'a [String],
     seconds: f64,
 }
 
@@ -205,17 +205,10 @@ fn reduced(arguments: &Arguments, scene: &Scene, frames: &[Frame], unreadable: &
     if let (true, Some(first)) = (frames.is_empty(), unreadable.first()) {
         return Err(Error::Image(format!("no frame can be read ({}: {})", first.file, first.reason)));
     }
-    let bad = arguments.mask.as_deref().map(mask).transpose()?;
+    let bad = arguments.mask.as_deref().map(io::read_mask).transpose()?;
     let mut overrides: Vec<String> = arguments.settings.keys().map(String::from).collect();
     overrides.dedup();
     reduce(scene, frames, &ReductionOptions { bad, is_without_dither_sky: arguments.no_dither_sky, overrides })
-}
-
-/// Bad pixels in a file: its first image, or its HDU `BADPIX`.
-fn mask(path: &Path) -> Result<Array2<bool>> {
-    let mut file = FitsReader::open(path)?;
-    let map = if file.has("BADPIX") { file.map(Some("BADPIX")) } else { io::read_map(path, None) }?;
-    Ok(map.mapv(|mark| mark != 0.0))
 }
 
 fn report(arguments: &Arguments, reduction: &Reduction, seconds: f64, terminal: &Terminal) -> Result<()> {
@@ -229,8 +222,8 @@ fn report(arguments: &Arguments, reduction: &Reduction, seconds: f64, terminal: 
     let images = channels.iter().map(|channel| channel.images).sum();
     if arguments.json {
         let frames = reduction.log.iter().map(row).collect();
-        let Reduction { bad_pixels, warnings, .. } = reduction;
-        return terminal.json(&Made { images, channels, bad_pixels: *bad_pixels, frames, warnings, seconds });
+        let Reduction { bad_pixels, warnings, remarks, .. } = reduction;
+        return terminal.json(&Made { images, channels, bad_pixels: *bad_pixels, frames, warnings, remarks, seconds });
     }
     let rejected = reduction.log.iter().filter(|row| !row.is_used).count();
     let mut text = table(&reduction.log);
@@ -243,6 +236,7 @@ fn report(arguments: &Arguments, reduction: &Reduction, seconds: f64, terminal: 
         counted(rejected, "frame"),
         after.join(", ")
     );
+    reduction.remarks.iter().for_each(|remark| text += &format!("{remark}\n"));
     for channel in channels {
         let name = channel
             .name

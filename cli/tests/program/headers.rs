@@ -139,10 +139,13 @@ fn a_file_that_contradicts_the_scene_is_refused() {
     // What the command line says goes before what the file says.
     let (json, _) = desk.estimate("other.fits", &["--set", "image.wavelength_nm=2000"]);
     assert_eq!(number(&json, "phasing_rms_nm"), clean);
-    // The exposure counts where the scene names it.
+    // The exposure counts where the scene names it, and for an estimate that reads it: no modal one does.
     agree("EXPTIME", 30.0.into());
     std::fs::write(desk.path("scene.toml"), SMALL.replace("[image]", "[image]\nexposure_s = 10")).unwrap();
-    contradicts(("ITIME", 30.0.into()), &["card ITIME = 30", "image.exposure_s = 10"]);
+    agree("EXPTIME", 30.0.into());
+    desk.write_images("other.fits", 1.0, "electron", &[("ITIME", 30.0.into())]);
+    let full_phase = ["--set", "estimate.method=full-phase"];
+    desk.refuses_estimate("other.fits", &full_phase, &["card ITIME = 30", "image.exposure_s = 10", "--trust"]);
 }
 
 #[test]

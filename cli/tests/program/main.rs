@@ -2,6 +2,7 @@
 
 mod aot;
 mod bad_input;
+mod cards;
 mod channels;
 mod check;
 mod commands;

@@ -2,7 +2,7 @@
 
 use crate::channels::PAIR;
 use crate::raw_frames::{
-    DITHERS, GAIN, NOISE_E, Noise, RAW, SIDE, SKY_E, dark, desk, response, sky, star, write, write_cube,
+    COADDS, DITHERS, GAIN, NOISE_E, Noise, RAW, SIDE, SKY_E, dark, desk, response, sky, star, write, write_cube,
 };
 use crate::{Desk, number};
 use cophase::io::{Card, FitsReader, FitsWriter, Pixel, read_channels};
@@ -68,6 +68,66 @@ fn raw_frames_become_the_images_again() {
             );
         }
     }
+}
+
+#[test]
+fn darks_give_the_noise_where_the_stated_one_is_another() {
+    let desk = desk();
+    // A tenth of the true read noise: what is missing could be that of a dark current.
+    let options = ["--set", "image.read_noise_e=1.4", "--set", "image.saturation_adu=9000"];
+    let made = desk
+        .json(&[&["reduce", "raw", "--scene", "scene.toml", "-o", "reduced.fits", "--json"], &options[..]].concat());
+    let noise_e = number(&made["channels"][0], "noise_e");
+    let expected = ((NOISE_E * NOISE_E + SKY_E) * (1.0 + 0.298)).sqrt();
+    assert!((noise_e / expected - 1.0).abs() < 0.03, "{noise_e} e where {expected} e is expected");
+    let warnings = made["warnings"].to_string();
+    assert!(warnings.contains("14.") && warnings.contains("stated as 1.4"), "{warnings}");
+}
+
+#[test]
+fn frames_of_another_exposure_are_rejected_as_an_estimate_does() {
+    let desk = desk();
+    let reduce =
+        ["reduce", "raw", "--scene", "scene.toml", "-o", "reduced.fits", "--set", "estimate.method=full-phase"];
+    let other = ["--set", "image.exposure_s=3"];
+    // A key on the command line holds against a card.
+    desk.succeeds(&[&reduce[..], &RAW, &other].concat());
+    let text = crate::SMALL.replace("[image]", "[image]\nexposure_s = 3");
+    std::fs::write(desk.path("scene.toml"), text).unwrap();
+    desk.refuses(&[&reduce[..], &RAW].concat(), &["n0000.fits", "card ITIME = 0.5", "image.exposure_s = 3"]);
+    // A modal estimate does not read it.
+    desk.succeeds(&[&reduce[..6], &RAW].concat());
+    desk.succeeds(&["estimate", "reduced.fits", "-o", "reduced-est.fits"]);
+}
+
+#[test]
+fn coadds_that_a_camera_averages_are_summed() {
+    let desk = desk();
+    let reduce = ["reduce", "raw", "--scene", "scene.toml", "-o", "reduced.fits", "--json"];
+    let summed = number(&desk.json(&[&reduce[..], &RAW].concat())["channels"][0], "noise_e");
+    let files: Vec<_> = std::fs::read_dir(desk.path("raw")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let rewrite = |path: &std::path::Path, edit: &dyn Fn(f64) -> f64| {
+        let mut file = FitsReader::open(path).unwrap();
+        let counts = file.map(Some("RAW")).unwrap().mapv(edit);
+        let keys = ["ITIME", "COADDS", "GAIN", "OBJECT", "SHRNAME", "KOAIMTYP"];
+        let cards: Vec<(&str, Card)> =
+            keys.into_iter().filter_map(|key| Some((key, file.card(Some("RAW"), key).unwrap()?))).collect();
+        drop(file);
+        let mut copy = FitsWriter::create(path).unwrap();
+        copy.image("RAW", &counts, Pixel::F64, "").unwrap();
+        cards.into_iter().for_each(|(key, card)| copy.card("RAW", key, card, "").unwrap());
+        copy.finish().unwrap();
+    };
+    files.iter().for_each(|path| rewrite(path, &|counts| counts / COADDS));
+    let averaged = [&reduce[..], &RAW, &["--set", "image.coadds_are_averaged=true"]].concat();
+    let found = number(&desk.json(&averaged)["channels"][0], "noise_e");
+    assert!((found / summed - 1.0).abs() < 1e-9, "{found} {summed}");
+    // The star of one frame saturates in every coadd, at a level that counts over the coadds do not reach.
+    let saturated = desk.path("raw/n0000.fits");
+    rewrite(&saturated, &|counts| counts.min(1000.0));
+    let level = ["--set", "image.read_noise_e=14.142", "--set", "image.saturation_adu=1000"];
+    let (used, why) = reason(&desk.json(&[&reduce[..], &level].concat()), "n0000.fits");
+    assert!(!used && why.contains("saturated") && why.contains("image.coadds_are_averaged"), "{why}");
 }
 
 /// Cubes of two channels, which a card distinguishes, with frames of the sky and darks: from raw frames to the estimate of the pair.

@@ -104,7 +104,7 @@ fn a_truth_on_another_grid_is_resampled_without_its_edges() {
     }
 
     write_map(&desk, "radian.fits", &Array2::zeros((64, 64)), "radian", &[]);
-    desk.refuses(&["compare", "est.fits", "--truth-opd", "radian.fits"], &["radian.fits", "BUNIT", "nm, um and m"]);
+    desk.refuses(&["compare", "est.fits", "--truth-opd", "radian.fits"], &["radian.fits", "BUNIT", "nm, um, m"]);
     write_map(&desk, "small.fits", &Array2::zeros((64, 64)), "m", &[("PUPLSCAL", 0.01)]);
     desk.refuses(&["compare", "est.fits", "--truth-opd", "small.fits"], &["est.fits", "no value at"]);
     write_map(&desk, "four.fits", &Array2::zeros((4, 4)), "m", &[]);

@@ -23,8 +23,11 @@ fn move_by(images: &mut Array3<f64>, [x, y]: [f64; 2]) {
     images.index_axis_mut(ndarray::Axis(0), 0).assign(&moved);
 }
 
-/// Kind, frame and segment of each event, and their sentences.
-fn seen(desk: &Desk) -> (Vec<(String, i64, Option<i64>)>, Vec<String>) {
+/// Kind, frame and segment of an event.
+type Alarm = (String, i64, Option<i64>);
+
+/// The events, and their sentences.
+fn seen(desk: &Desk) -> (Vec<Alarm>, Vec<String>) {
     let connection = rusqlite::Connection::open(desk.path("night.db")).unwrap();
     let mut query = connection.prepare("SELECT kind, frame, segment, sentence FROM events ORDER BY id").unwrap();
     let rows = query.query_map([], |row| Ok(((row.get(0)?, row.get(1)?, row.get(2)?), row.get(3)?)));

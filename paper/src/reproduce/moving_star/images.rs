@@ -67,7 +67,7 @@ impl<'a> Observatory<'a> {
         let mut session = Session::new(fitter.clone(), &options)?;
         let mut random = stream(900 + night.seed, 0);
         let side = self.scene.image.pixels;
-        let bad = Array2::from_shape_fn((side, side), |_| random.next_u32() % BAD_ONE_IN == 0);
+        let bad = Array2::from_shape_fn((side, side), |_| random.next_u32().is_multiple_of(BAD_ONE_IN));
         let numbers: Vec<usize> = (0..night.moments.len()).collect();
         let mut estimates = Vec::with_capacity(numbers.len());
         for batch in numbers.chunks(BATCH) {
