@@ -260,8 +260,7 @@ fn images_without_noise_need_a_flux() {
 
 #[test]
 fn contradictions_are_refused() {
-    let cases: [(&str, Settings, &str); 32] = [
-        ("keck-artificial", &[("image.flux_e", "1e6")], "'image.peak_snr' | 'image.flux_e' | both"),
+    let cases: [(&str, Settings, &str); 31] = [
         ("keck-artificial", &[("image.diversity_file", "d.fits")], "'image.diversity_file' | both"),
         ("keck-artificial", &[("image.crop_pixels", "482")], "image.crop_pixels = 482"),
         ("keck-artificial", &[("image.rows", "482")], "image.rows = 482 | at most image.pixels = 480"),
@@ -323,6 +322,8 @@ fn contradictions_are_refused() {
         assert_facts(&message, facts);
         assert!(message.starts_with(preset) && !message.contains('\n'), "{settings:?}: {message}");
     }
+    let both = format!("{SMALLEST}flux_e = 1e6\npeak_snr = 50\n");
+    assert_facts(&refusal(&both), "'image.peak_snr' | 'image.flux_e' | both");
     assert_facts(&refusal(&format!("{SMALLEST}[faults]\ndrift_nm_per_min = 1")), "[aberrations]");
     let without_grid = "[pupil]\nfile = \"p.fits\"\n[image]\nwavelength_nm = 2000\npixels = 8";
     assert_facts(&refusal(without_grid), "'pupil.grid_m' | missing");

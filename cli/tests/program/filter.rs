@@ -15,8 +15,10 @@ fn a_filter_file_beside_the_scene_is_found_from_any_folder() {
     std::fs::write(desk.path("filtered.toml"), scene.replace("[image]", keys)).unwrap();
     std::fs::create_dir(desk.path("elsewhere")).unwrap();
     desk.succeeds(&["image", "filtered.toml", "-o", "elsewhere/images.fits"]);
-    // The scene in the images has the full name of the table.
-    let found = desk.json(&["estimate", "elsewhere/images.fits", "-o", "est.fits", "--json"]);
+    // The scene in the images has the full name of the table, which is not beside them.
+    let own = ["estimate", "elsewhere/images.fits", "-o", "est.fits", "--json", "--foreign-files"];
+    desk.refuses(&own[..4], &["k.txt", "image.filter_file", "--foreign-files"]);
+    let found = desk.json(&own);
     assert_eq!(found["status"], "ok", "{found}");
     let again = ["estimate", "elsewhere/images.fits", "--scene", "filtered.toml", "-o", "again.fits", "--json"];
     assert_eq!(desk.json(&again)["reduced_chi2"], found["reduced_chi2"]);
@@ -29,7 +31,7 @@ fn a_filter_file_beside_the_scene_is_found_from_any_folder() {
     std::fs::remove_file(&table).unwrap();
     let missing = ["k.txt", "image.filter_file"];
     desk.refuses(&["image", "filtered.toml", "-o", "other.fits"], &missing);
-    desk.refuses(&["estimate", "elsewhere/images.fits", "-o", "other.fits"], &missing);
+    desk.refuses(&["estimate", "elsewhere/images.fits", "-o", "other.fits", "--foreign-files"], &missing);
 }
 
 #[test]

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_connections_end_before_stalled_ones_and_the_oldest_first() {
+    fn unknown_connections_end_first_then_stalled_ones() {
         let connections = Arc::new(Connections::default());
         let places = taken(&connections, LOCAL, CONNECTIONS);
         places.iter().enumerate().filter(|(index, _)| *index != 5).for_each(|(_, place)| place.connection.admit());

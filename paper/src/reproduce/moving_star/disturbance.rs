@@ -1,11 +1,13 @@
 //! What moves in a night.
 
-use super::INTERVAL_S;
 use cophase::source::stream;
 use cophase::{Error, Result};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
+
+/// Time between images, s.
+pub(super) const INTERVAL_S: f64 = 80.0;
 
 /// Segments of the telescope, and Zernikes of its NCPA, first and last Noll index: tip, tilt, focus, ...
 pub const SEGMENTS: usize = 36;

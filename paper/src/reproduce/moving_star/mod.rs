@@ -15,6 +15,7 @@ use cophase::Result;
 use cophase::modal::{ModalFitter, Pointing};
 use cophase::scene::Scene;
 use cophase::tracking::{Change, Observation, Tracker, TrackerSettings, Verdict};
+use disturbance::INTERVAL_S;
 use images::{Estimated, Observatory};
 use ndarray::ArrayView1;
 use std::sync::Arc;
@@ -32,8 +33,7 @@ const SETTINGS: [(&str, &str); 10] = [
     ("aberrations.ncpa_rms_nm", "40"),
     ("aberrations.truth_samples", "240"),
 ];
-/// Time between images, s, and their number in a night of 8 hours.
-const INTERVAL_S: f64 = 80.0;
+/// Images of a night of 8 hours.
 const IMAGES: usize = 360;
 /// False alarms a night that are asked for.
 const ASKED: f64 = 1.0;
