@@ -103,10 +103,8 @@ impl OutlierFinder {
         // At the rim the variances are rounding: 1e-16 of those of the light.
         let variance_e2 =
             self.inverse(self.forward(&faded_e2) * &self.square).mapv(|e2| e2.max(MIN_VARIANCE_SHARE * floor_e2));
-        if self.is_noisier(&high_e, &variance_e2, most) {
-            return None;
-        }
         let mut left_e = high_e.clone();
+        let mut is_noise_compared = false;
         let (mut outliers, mut excess_e): (Vec<(usize, usize)>, Vec<f64>) = Default::default();
         loop {
             let (at, most_squared) = Zip::indexed(&left_e).and(&variance_e2).fold(((0, 0), 0.0), |most, at, e, e2| {
@@ -118,6 +116,13 @@ impl OutlierFinder {
             }
             if outliers.len() == 2 * most + known_count || outliers.contains(&at) {
                 return None;
+            }
+            // Not before the brightest are gone: their ripples are all over the frame.
+            if !is_noise_compared && 2 * outliers.len() >= most {
+                is_noise_compared = true;
+                if self.is_noisier(&left_e, &variance_e2, most) {
+                    return None;
+                }
             }
             let between = outliers.iter().flat_map(|&other| between(at, other)).collect::<Vec<_>>();
             for at in std::iter::once(at).chain(between) {
@@ -149,7 +154,7 @@ impl OutlierFinder {
     }
 
     /// Whether the frame is so much noisier than stated that noise alone exceeds the limit in more than `most` pixels: the search would add one after
-    /// the other, and find none in the end. Of noise that is s times as large at most N·exp(−(6/s)²/2) pixels do; the median of squares, 0.455 s² of
+    /// the other, each at the cost of all before it, and find none in the end. Of noise that is s times as large at most N·exp(−(6/s)²/2) pixels do; the median of squares, 0.455 s² of
     /// Gaussian noise, is that of the pixels without outliers.
     fn is_noisier(&self, high_e: &Array2<f64>, variance_e2: &Array2<f64>, most: usize) -> bool {
         const MEDIAN_OF_SQUARES: f64 = 0.455;

@@ -171,7 +171,8 @@ impl Work<'_> {
     }
 
     /// Reduced χ² and first image of the fit with the settings of the first fault, where it has some. A fault whose settings raise χ² is none that was
-    /// found: it is not proposed, and the next one takes its place.
+    /// found: it is not proposed, and the next one takes its place. An image in focus is known by its shape: NCPA of the opposite focus explain it as
+    /// well as no defocus does, and the fit without, whose even aberrations have no sign, may end beside its minimum.
     fn correct(
         &self,
         given: &Scene,
@@ -184,7 +185,7 @@ impl Work<'_> {
             let scene = with(given, &first.settings)?;
             let again = self.fit(&scene, &cache.for_scene(given, &scene))?;
             let chi2 = chi2_of(&again);
-            if !is_raised(chi2, own_chi2) {
+            if first.quantity == CheckedQuantity::Defocus || !is_raised(chi2, own_chi2) {
                 return Ok(Some((chi2, again.fit.1.compared)));
             }
             first.explanation += &format!("; {}", raised(&first.settings, chi2, own_chi2));

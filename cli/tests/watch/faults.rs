@@ -49,10 +49,10 @@ fn store_of_a_killed_watch_names_its_log() {
     let alone = export("alone.db");
     assert!(alone.err.contains("alone.db") && alone.err.contains("night.db-wal"), "{}", alone.err);
     assert_eq!(export("whole.db").err, "");
-    // A watch that ends leaves one file, which needs no other.
+    // A watch that ends leaves a store that needs no other file: SQLite may keep an empty log behind one that was killed.
     put(&desk, 1);
     once(&desk);
-    assert!(!desk.path("night.db-wal").exists());
+    assert_eq!(std::fs::metadata(desk.path("night.db-wal")).map_or(0, |log| log.len()), 0);
     std::fs::copy(desk.path("night.db"), desk.path("ended.db")).unwrap();
     assert_eq!(export("ended.db").err, "");
 }
