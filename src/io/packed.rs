@@ -10,7 +10,7 @@ use super::repair::{self, Repairs};
 use crate::machine;
 
 /// Most bytes that a compressed file expands to: a thousand frames of 512 × 512 pixels of 4 bytes. They are in memory twice; a file that is not
-/// compressed is read from the disk, whatever its length.
+/// compressed is read from the disk and has no such bound.
 pub(super) const MAX_UNPACKED: u64 = 1 << 30;
 
 /// Refuses to expand to `bytes` bytes in all. `what` is the part of the file that its header describes, `how` the command that unpacks it.

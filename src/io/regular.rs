@@ -25,7 +25,7 @@ pub(super) fn open(path: &Path, wanted: &str) -> Result<File> {
     File::open(path).map_err(refused)
 }
 
-/// Reads a regular file of at most `most` bytes, whatever length the system states. `wanted` is as for [`open`].
+/// Reads a regular file of at most `most` bytes; they are counted, because a device states a length of 0. `wanted` is as for [`open`].
 ///
 /// # Errors
 /// As [`open`]; [`Error::File`] for a longer file.

@@ -316,7 +316,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
 fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
     let mut sentences: Vec<String> = Vec::new();
     for sentence in each.iter().flat_map(|one| &one.remarks) {
-        if !sentences.contains(sentence) && !sentence.starts_with(super::warnings::ON_DIVERSITY) {
+        if !sentences.contains(sentence) && !sentence.starts_with(super::remarks::ON_DIVERSITY) {
             sentences.push(sentence.clone());
         }
     }
@@ -327,7 +327,7 @@ fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) ->
         sentences.push(format!(
             "{} An error of 1 % of all of them changes the NCPA by {nm:.2} nm (estimate.fit_optics = [\"defocus\"] fits their \
              amplitude where the channels determine it).",
-            super::warnings::ON_DIVERSITY
+            super::remarks::ON_DIVERSITY
         ));
     }
     Ok(sentences)

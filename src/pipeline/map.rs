@@ -7,7 +7,7 @@ use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
 use super::outcome::ImageOutcome;
 use super::sequence::{self, SequenceResult};
 use super::sequence_channel::Sequence;
-use super::warnings;
+use super::{remarks, warnings};
 use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
 use crate::modal::ImageStatus;
 use crate::modes::Group;
@@ -115,13 +115,13 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     // Errors of the diversities of several channels partly cancel.
     let only = (sequence.channels.len() == 1).then_some(&found.scene);
     let mut remarks: Vec<String> =
-        only.and_then(|scene| warnings::diversity_remark(&last.diversity, scene)).into_iter().collect();
-    remarks.extend(warnings::segment_tilts_remarks(last));
+        only.and_then(|scene| remarks::diversity_remark(&last.diversity, scene)).into_iter().collect();
+    remarks.extend(remarks::segment_tilts_remarks(last));
     let telescope = Telescope::new(&found.scene)?;
-    remarks.extend(warnings::averaged_pupil_remark(&found.scene, &telescope));
-    remarks.extend(slopes_mas.and_then(warnings::missing_telemetry_remark));
+    remarks.extend(remarks::averaged_pupil_remark(&found.scene, &telescope));
+    remarks.extend(slopes_mas.and_then(remarks::missing_telemetry_remark));
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
-        remarks.extend(warnings::orientation_remark(&found.scene, &telescope)?);
+        remarks.extend(remarks::orientation_remark(&found.scene, &telescope)?);
     }
     remarks.extend(unit_remark(&found.scene)?);
     let pupil = found.pupil.clone();

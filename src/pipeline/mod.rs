@@ -39,6 +39,7 @@ mod outcome;
 mod parts;
 mod piston_table;
 mod policy;
+mod remarks;
 mod report;
 mod residual_shape;
 mod scene_files;

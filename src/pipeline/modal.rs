@@ -6,7 +6,7 @@ use super::explain::explain;
 use super::modal_task::{Fitted, ModalTask};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
-use super::warnings;
+use super::{remarks, warnings};
 use crate::Result;
 use crate::metrics::MapGram;
 use crate::modal::{self, FitSeries, FittedOptic, Model};
@@ -39,9 +39,9 @@ impl Fitted {
         let scene_used = fitter.scene();
         let remarks = [
             selected.as_ref().map(|selected| selected.remark.clone()),
-            warnings::diversity_remark(&diversity, scene_used),
-            warnings::averaged_pupil_remark(scene_used, &model.telescope),
-            warnings::orientation_remark(scene_used, &model.telescope)?,
+            remarks::diversity_remark(&diversity, scene_used),
+            remarks::averaged_pupil_remark(scene_used, &model.telescope),
+            remarks::orientation_remark(scene_used, &model.telescope)?,
             unit_remark(scene_used)?,
         ];
         let outcomes = found.images.iter().enumerate().map(|(image, report)| {

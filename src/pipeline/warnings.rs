@@ -4,12 +4,9 @@ use super::explain::is_mean_misfit;
 use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
-use crate::Result;
 use crate::modal::{self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, Session, Status};
-use crate::scene::{AoKnowledge, Aperture, Scene};
+use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
-use crate::telescope::{Diversity, Telescope};
-use ndarray::Array2;
 
 /// What a χ² that is too small means.
 pub(super) const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
@@ -32,89 +29,12 @@ pub(super) fn integers_warning(integers: &[PistonInteger]) -> Option<String> {
     ))
 }
 
-/// First sentence of the remark on the diversity.
-pub(super) const ON_DIVERSITY: &str = "The NCPA depend on the scene's diversity.";
-
 /// Images named one by one in a warning; the others are counted.
 const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
 const NAMED_MODES: usize = 6;
 /// Combinations of modes named one by one in a warning; the others are counted.
 const NAMED_COMBINATIONS: usize = 3;
-
-/// Remark on the diversity, which holds for every image of a scene: how an error of it changes the NCPA.
-pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -> Option<String> {
-    (diversity.is_spanned() && scene.estimate.diversity_error == 0.0).then(|| {
-        format!(
-            "{ON_DIVERSITY} An error of 1 % of it changes them by {:.1} nm (estimate.diversity_error includes such an error in the \
-             error bars).",
-            0.01 * diversity.rms_nm
-        )
-    })
-}
-
-/// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror images at which a flipped image
-/// looks the same: below it noise hides the difference.
-const MIRROR_TOLERANCE: f64 = 0.02;
-
-/// Remark on the map of a pupil, finer than the default of `pupil.samples`, whose samples are averaged.
-pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Option<String> {
-    let (of_file, of_model) = (telescope.truth_samples(), telescope.pupil.grid.samples());
-    let is_default = matches!(scene.pupil.aperture, Aperture::File(_)) && !scene.names("pupil.samples");
-    (is_default && of_file > of_model).then(|| {
-        format!(
-            "The pupil's map has {of_file} samples a side, which are averaged to {of_model}, the default of pupil.samples: \
-             {of_file} uses them as they are, at the cost of time."
-        )
-    })
-}
-
-/// Remark on the orientation of the images: where pupil and diversity equal their mirror images a flipped image is that of the flipped wavefront. The
-/// image of A·exp(−i(W + d)), with the opposite wavefront and diversity, is the turned one of A·exp(i(W + d)) for any pupil A.
-///
-/// # Errors
-/// Those of reading the diversity.
-pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result<Option<String>> {
-    let pupil = &telescope.pupil;
-    // A focus equals its mirror images.
-    let map = scene.image.diversity_file.as_ref().map(|_| Diversity::new(scene, telescope)).transpose()?;
-    let (grid, last) = (&pupil.grid, pupil.grid.samples() - 1);
-    let waves = |y: usize, x: usize| {
-        let nm = map.as_ref().map_or(0.0, |map| map.at(grid.coordinate_m(x), grid.coordinate_m(y)));
-        nm / scene.image.wavelength_nm
-    };
-    let is_symmetric = |[flip_x, flip_y]: [bool; 2]| {
-        let (mut sum, mut weight) = (0.0, 0.0);
-        for ((y, x), &amplitude) in pupil.amplitude.indexed_iter() {
-            let (v, u) = (if flip_y { last - y } else { y }, if flip_x { last - x } else { x });
-            let other = pupil.amplitude[[v, u]];
-            sum += (amplitude - other).powi(2) + amplitude * other * (waves(y, x) - waves(v, u)).powi(2);
-            weight += amplitude;
-        }
-        sum < MIRROR_TOLERANCE.powi(2) * weight
-    };
-    let is_turned_equal = is_symmetric([true, true]);
-    let is_flipped_equal = [[true, false], [false, true]].into_iter().any(is_symmetric);
-    // A point-symmetric pupil with an even diversity has the same image with the opposite diversity and the wavefront −W(−x, −y).
-    let has_diversity = map.is_some() || scene.image.diversity_focus_waves_rms != 0.0;
-    let sign = match (has_diversity, is_turned_equal) {
-        (false, _) => "",
-        (true, true) => " Nor can the sign of the diversity: with the opposite one the maps are −W(−x, −y).",
-        (true, false) => {
-            " Images turned by 180° would fit with the opposite diversity, and the maps −W(x, y): the sign of the maps is that of the \
-             scene's orientation and diversity together."
-        }
-    };
-    const POKE: &str = "'cophase check --before' finds it from a known poke of a segment or an actuator";
-    Ok(if is_turned_equal || is_flipped_equal {
-        Some(format!(
-            "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \
-             ({POKE}; image.flip_x and image.flip_y set it).{sign}"
-        ))
-    } else {
-        Some(format!("{} ({POKE}).", sign.trim().trim_end_matches('.'))).filter(|_| !sign.is_empty())
-    })
-}
 
 /// Warnings of a modal estimate.
 pub(super) fn modal_warnings(
@@ -329,38 +249,6 @@ pub(super) fn shown_chi2(chi2: f64) -> String {
 fn listed(names: &[String]) -> String {
     let first = names[..names.len().min(NAMED_MODES)].join(", ");
     if names.len() > NAMED_MODES { format!("{first} and {} more", names.len() - NAMED_MODES) } else { first }
-}
-
-/// Remark on images without telemetry, whose slopes (`[image, slope]`) are NaN.
-pub(super) fn missing_telemetry_remark(slopes_mas: &Array2<f64>) -> Option<String> {
-    let missing = slopes_mas.outer_iter().filter(|row| row.iter().all(|mas| mas.is_nan())).count();
-    (missing > 0).then(|| {
-        let images = slopes_mas.nrows();
-        format!(
-            "{missing} of {images} images have no telemetry: they determine the segments, the others the NCPA, too."
-        )
-    })
-}
-
-/// Remarks on tilts of the segments in a MAP estimate, whose last iteration is `last`: that they were added to the model, and what images
-/// behind a loop do not show of them.
-pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
-    let added = last.segment_tilts.filter(|_| last.has_tilts()).map(|tilts| {
-        format!(
-            "The model was extended by tip and tilt of each segment: each lowers the χ² of the mean wavefront by {:.1}, where \
-             turbulence explains 1 (estimate.model = \"scene\" keeps that of the scene).",
-            tilts.chi2
-        )
-    });
-    let compensated_nm = last.error_budget.term_nm(ErrorSource::CompensatedSegments)[0];
-    let unseen = (compensated_nm > last.error_budget.averaged_nm()[0]).then(|| {
-        format!(
-            "The error bars of the phasing include {compensated_nm:.0} nm of smooth shapes of many segments, which the loop compensates: they \
-             are in no image, and no number of images determines them. Behind the loop {:.1} nm remain.",
-            last.error_budget.averaged_nm()[0]
-        )
-    });
-    added.into_iter().chain(unseen).collect()
 }
 
 /// Warnings of a MAP estimate, whose last iteration is `last`.

@@ -80,7 +80,7 @@ fn style(template: &str) -> ProgressStyle {
             let _ = write!(text, "{:.1}/s", state.per_sec());
         })
         .with_key("left", |state: &ProgressState, text: &mut dyn std::fmt::Write| {
-            // Before the first step nobody knows.
+            // Unknown before the first step.
             if state.pos() > 0 {
                 let _ = write!(text, "{:#} left", HumanDuration(state.eta()));
             }

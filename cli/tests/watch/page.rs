@@ -285,11 +285,11 @@ fn other_addresses_need_a_token_and_requests_too() {
 }
 
 /// Clients that send `request` many times and read nothing.
-fn deaf(site: &Site, count: usize, request: &str) -> Vec<TcpStream> {
+fn silent_readers(site: &Site, count: usize, request: &str) -> Vec<TcpStream> {
     let many = request.repeat(4000);
     let connect = |_| {
         let mut stream = site.connect();
-        // As much as is taken: a server that answers nobody who reads nothing takes little.
+        // Until the buffers of the connection are full.
         stream.set_write_timeout(Some(std::time::Duration::from_millis(20))).unwrap();
         let _ = stream.write_all(many.as_bytes());
         stream
@@ -304,13 +304,12 @@ fn clients_that_read_nothing_do_not_keep_the_owner_out() {
     let site = Site::start(&desk, &["--listen", "0.0.0.0", "--token", token]);
     let host = site.host();
     let owner = format!("GET /api/status HTTP/1.1\nHost: {host}\nAuthorization: Bearer {token}");
-    let strangers = deaf(&site, 100, &format!("GET /page.js HTTP/1.1\r\nHost: {host}\r\n\r\n"));
-    // At once, whatever the strangers do.
+    let without_token = silent_readers(&site, 100, &format!("GET /page.js HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     assert_eq!(site.send(&owner).status, 200);
-    drop(strangers);
+    drop(without_token);
     // Who knows the token and reads nothing is no better, as soon as the answers wait for them.
     let request = format!("GET /charts.js HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {token}\r\n\r\n");
-    let known = deaf(&site, 100, &request);
+    let known = silent_readers(&site, 100, &request);
     wait_until("the answer to the owner", || site.send(&owner).status == 200);
     drop(known);
 }

@@ -1,7 +1,7 @@
 //! Connections of the page: how many there may be, and which one ends where another wants in.
 //!
-//! A client may open connections and read nothing, or never say who it is. None of them may keep the owner out: where all places are
-//! taken, the connection that is worth least gives up its own.
+//! A client may open connections and read nothing, or send no token. It must not keep the owner of the page out: where all places are taken,
+//! a new connection replaces one without a token, else one whose client does not read.
 
 use std::collections::HashMap;
 use std::io;
@@ -66,7 +66,7 @@ impl Drop for Place {
 }
 
 impl Connections {
-    /// A place for a connection of `peer`; another one ends for it where there is none. `None` where all others are worth more.
+    /// A place for a connection of `peer`; another one ends for it where there is none. `None` where all others have a token and read.
     ///
     /// A machine's own address stands for all its users, and for all that `ssh` brings here: it has no limit of its own.
     pub fn take(connections: &Arc<Self>, peer: IpAddr) -> Option<Place> {
@@ -75,7 +75,7 @@ impl Connections {
         let is_peer_full = !peer.is_loopback() && of_peer >= CONNECTIONS_OF_A_PEER;
         if is_peer_full || table.1.len() >= CONNECTIONS {
             let others = table.1.iter().filter(|(_, other)| !is_peer_full || other.peer == peer);
-            let number = least(others)?;
+            let number = replaceable(others)?;
             if let Some(ended) = table.1.remove(&number) {
                 ended.end.notify_one();
             }
@@ -94,15 +94,15 @@ impl Connections {
     }
 }
 
-/// The connection that is worth least: the oldest that no guard has let pass, then the oldest whose client does not read.
-fn least<'a>(connections: impl Iterator<Item = (&'a u64, &'a Arc<Connection>)>) -> Option<u64> {
-    let worth =
+/// The connection that is replaced first: the oldest that the guard has not let pass, then the oldest whose client does not read.
+fn replaceable<'a>(connections: impl Iterator<Item = (&'a u64, &'a Arc<Connection>)>) -> Option<u64> {
+    let order =
         |connection: &Connection| match (connection.is_admitted.load(Relaxed), connection.is_stalled.load(Relaxed)) {
             (false, _) => Some(0),
             (true, true) => Some(1),
             (true, false) => None,
         };
-    connections.filter_map(|(number, connection)| Some((worth(connection)?, *number))).min().map(|(_, number)| number)
+    connections.filter_map(|(number, connection)| Some((order(connection)?, *number))).min().map(|(_, number)| number)
 }
 
 /// A stream whose writing ends where the client reads nothing for [`WRITE_TIME`].
