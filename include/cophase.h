@@ -230,7 +230,7 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one sentence a line. */
 #define COPHASE_TEXT_CORRECTION_WARNINGS 16
 
-/* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
+/* Policy: what the program and every other interface do: modes with a prior, a search for outlier pixels, restarts, optics fitted where
  * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
  */
 #define COPHASE_POLICY_FULL 0
@@ -322,7 +322,7 @@ typedef struct {
   int32_t is_clipped;
   /* Pixels of the fitted part that were bad in the frame or in the calibration. */
   int32_t bad_pixels;
-  /* Outlier pixels that were found and rejected; 0 in a session, which does not look for them. */
+  /* Outlier pixels that were found and rejected. */
   int32_t rejected_pixels;
   /* Policy of the fit: COPHASE_POLICY_FULL, or COPHASE_POLICY_REALTIME, which a session follows. */
   int32_t policy;
@@ -833,7 +833,7 @@ cophase_status cophase_estimate_correct(cophase_estimate *estimate,
 /* ------------------------------------------- Session ------------------------------------------- */
 
 /* Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
- * COPHASE_POLICY_REALTIME: no modes with a prior, no outlier rejection, no restarts. The same frame gives the same bits,
+ * COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
  * with any other frames in the call.
  *
  * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.

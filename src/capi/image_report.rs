@@ -22,7 +22,7 @@ pub struct cophase_image_report {
     pub is_clipped: i32,
     /// Pixels of the fitted part that were bad in the frame or in the calibration.
     pub bad_pixels: i32,
-    /// Outlier pixels that were found and rejected; 0 in a session, which does not look for them.
+    /// Outlier pixels that were found and rejected.
     pub rejected_pixels: i32,
     /// Policy of the fit: COPHASE_POLICY_FULL, or COPHASE_POLICY_REALTIME, which a session follows.
     pub policy: i32,
@@ -53,7 +53,7 @@ impl cophase_image_report {
             is_used: 0,
             is_clipped: 0,
             bad_pixels: i32::try_from(report.bad_pixels).unwrap_or(i32::MAX),
-            rejected_pixels: 0,
+            rejected_pixels: i32::try_from(report.rejected.total()).unwrap_or(i32::MAX),
             policy: COPHASE_POLICY_REALTIME,
             evaluations: report.evaluations as u64,
             reduced_chi2: report.reduced_chi2,
@@ -78,7 +78,7 @@ impl cophase_image_report {
             is_used: image.is_used.into(),
             is_clipped: image.is_clipped.into(),
             bad_pixels: i32::try_from(image.bad_pixels).unwrap_or(i32::MAX),
-            rejected_pixels: i32::try_from(image.rejected_pixels).unwrap_or(i32::MAX),
+            rejected_pixels: i32::try_from(image.rejected.total()).unwrap_or(i32::MAX),
             policy,
             evaluations: image.evaluations as u64,
             reduced_chi2: image.reduced_chi2,

@@ -20,7 +20,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
-/// COPHASE_POLICY_REALTIME: no modes with a prior, no outlier rejection, no restarts. The same frame gives the same bits,
+/// COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
 /// with any other frames in the call.
 ///
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.

@@ -12,6 +12,7 @@
 
 #[cfg(test)]
 mod definition;
+mod disc;
 mod fft;
 mod hartley;
 mod matrix;
@@ -23,6 +24,7 @@ mod square;
 mod transform;
 mod workspace;
 
+pub(crate) use disc::disc;
 pub use hartley::HartleyTransform;
 pub use pixel_response::PixelResponse;
 pub use product::Factors;

@@ -73,7 +73,7 @@ pub(crate) fn explaining_fit(
     factor: f64,
     cancel: Option<&CancelFlag>,
 ) -> Result<Option<(ModalFitter, [f64; 2])>> {
-    let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
+    let recipe = Recipe { search_outliers: false, ..recipe.clone() };
     with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
         let first = search.iterate(&own)?;
         let own_chi2 = first.reduced_chi2;
@@ -123,7 +123,7 @@ pub(crate) fn fit_together(
     start: &OpticsStart,
     cancel: Option<&CancelFlag>,
 ) -> Result<OpticsMinimum> {
-    let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
+    let recipe = Recipe { search_outliers: false, ..recipe.clone() };
     with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
         let mut elsewhere = own.clone();
         for &(optic, value) in start.values {

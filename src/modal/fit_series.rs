@@ -119,6 +119,7 @@ impl ModalFitter {
                 let StoredFit { minimum, weights, .. } = &stored[taken - 1];
                 fit.minimum.clone_from(minimum);
                 fit.prepared.exposure.weight.copy_from_slice(weights);
+                super::rejection::reject_without_weight(&mut fit.prepared);
             },
         );
         watch(known.len(), fits.len());

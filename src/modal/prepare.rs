@@ -3,17 +3,20 @@
 mod extent;
 mod reduction;
 mod refusal;
+mod spikes;
 mod statistics;
 
 pub use refusal::Refusal;
 
 use super::recipe::Recipe;
+use super::rejected::{Rejected, RejectedPixels};
 use crate::imaging::{Exposure, Photometry};
 use crate::scene::Weighting;
 use crate::{Error, Result};
 use extent::{Extent, extents_of_clean_rows};
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use reduction::Reduction;
+use spikes::Spikes;
 use statistics::Statistics;
 
 /// A frame: electrons and bad pixels.
@@ -61,8 +64,10 @@ pub struct PreparedFrame {
     pub shift_pixels: [i64; 2],
     /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
-    /// Number of outlier pixels of the frame that were rejected.
-    pub rejected_pixels: usize,
+    /// Outlier pixels of the frame that were taken out before.
+    pub taken_out: RejectedPixels,
+    /// Pixels of the fitted part that the fit rejects; their floor is infinite.
+    pub(super) rejected: Rejected,
 }
 
 /// Treatment of bad pixels where the sampling is reduced.
@@ -97,6 +102,15 @@ impl Preparation {
         self.frame[axis] as f64 / self.reduced[axis] as f64
     }
 
+    /// Place in the frame of a pixel of the fitted part along x (0) or y (1), of an image that was moved by `shift` model pixels: the
+    /// first of several where the sampling is reduced; `None` beyond the frame.
+    pub(super) fn place_in_frame(&self, axis: usize, pixel: usize, shift: i64) -> Option<usize> {
+        let (frame, reduced) = (self.frame[axis], self.reduced[axis]);
+        let model = (pixel + reduced / 2) as i64 - (self.pixels / 2) as i64 + shift;
+        let place = usize::try_from(model).ok().filter(|&model| model < reduced)? * frame / reduced;
+        Some(if self.flip[axis] { frame.checked_sub(place).filter(|&place| place < frame)? } else { place })
+    }
+
     /// An empty prepared frame, to be written by a [`Preparer`].
     pub(super) fn empty(&self) -> PreparedFrame {
         let zeros = || vec![0.0; self.pixels * self.pixels];
@@ -108,7 +122,8 @@ impl Preparation {
             level_e: 0.0,
             shift_pixels: [0, 0],
             bad_pixels: 0,
-            rejected_pixels: 0,
+            taken_out: RejectedPixels::default(),
+            rejected: Rejected::none_of(self.pixels.pow(2)),
         }
     }
 
@@ -158,6 +173,7 @@ pub(super) struct Preparer {
     /// Extents of each row of the frame, and then of each row at the model's sampling.
     extents: Vec<Extent>,
     statistics: Statistics,
+    spikes: Spikes,
     reduction: Option<Reduction>,
 }
 
@@ -193,6 +209,7 @@ impl Preparer {
             bad: Array2::from_elem(shape, false),
             extents: vec![Extent::EMPTY; shape.0.max(plan.reduced[1])],
             statistics: Statistics::with_capacity(shape.0 * shape.1),
+            spikes: Spikes::new(),
             reduction: (plan.reduced != plan.frame).then(|| Reduction::new(plan.frame, plan.reduced)),
         }
     }
@@ -218,9 +235,9 @@ impl Preparer {
         if self.reduction.is_some() && ringing == Ringing::Refused && lost > 0 {
             return Err(Refusal::BadPixelsWouldRing { bad: lost });
         }
-        let (data, bad) = if clean.is_some() { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
+        let mut is_clean = clean.is_some();
+        let (data, bad) = if is_clean { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
         let level = self.statistics.level_of_border(data, bad);
-        refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
         let (variance_e2, stated_share) = match frame.read_noise_e {
             Some(stated) => {
                 let variance_e2 = stated.powi(2).max(MIN_VARIANCE_E2);
@@ -230,6 +247,21 @@ impl Preparer {
             // on synthetic frames.
             None => (self.statistics.scatter_about(level).max(1.0).powi(2), 0.0),
         };
+        self.spikes.clear();
+        if recipe.reject_outliers {
+            let Self { data, bad, extents, spikes, reduction, .. } = self;
+            let original = is_clean.then_some((frame.data_e, frame.bad));
+            if spikes.take_out(original, (data, bad), (level, variance_e2), &mut extents[..self.plan.frame[1]]) {
+                is_clean = false;
+                if reduction.is_some() {
+                    spikes.fill(data, bad, level);
+                }
+            }
+        }
+        let spikes = self.spikes.found().len();
+        prepared.taken_out = RejectedPixels { high: spikes, ..RejectedPixels::default() };
+        refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
+        let (data, bad) = if is_clean { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
         let sampled = match &mut self.reduction {
             Some(reduction) => {
                 let data = reduction.run(data);
@@ -238,7 +270,7 @@ impl Preparer {
                 }
                 SampledFrame { data: data.view(), bad: None, extents: &self.extents }
             }
-            None => SampledFrame { data, bad: clean.is_none().then_some(bad), extents: &self.extents },
+            None => SampledFrame { data, bad: (!is_clean).then_some(bad), extents: &self.extents },
         };
         let area = self.plan.native_pixels();
         prepared.level_e = level * area;
@@ -246,7 +278,12 @@ impl Preparer {
         // A sum over some native pixels: their read variances add, and their photons are in the data.
         let floor = variance_e2 * area;
         prepared.stated_share = stated_share;
+        prepared.rejected.begin(floor);
         prepared.bad_pixels = crop(&sampled, self.plan.pixels, floor, prepared);
+        if self.reduction.is_none() {
+            // Spikes beyond the fitted part are not of its bad pixels.
+            prepared.bad_pixels = prepared.bad_pixels.saturating_sub(spikes);
+        }
         if prepared.bad_pixels == prepared.floor_variance_e2.len() {
             return Err(Refusal::NoGoodPixel);
         }

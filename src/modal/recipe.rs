@@ -44,8 +44,10 @@ pub struct Recipe {
     pub step_tolerance_nm: f64,
     /// How often a fit that ended in a wrong minimum is restarted from a perturbed start.
     pub restarts: usize,
-    /// Whether outlier pixels are searched for in images that the model does not explain, and rejected.
+    /// Whether pixels that the model does not explain are rejected as the weights are renewed.
     pub reject_outliers: bool,
+    /// Whether images that the model does not explain are searched for outlier pixels and fitted again without them.
+    pub search_outliers: bool,
     /// How the images are combined.
     pub combine: Combine,
 }
@@ -71,9 +73,11 @@ impl Recipe {
     fn with_optimizer(scene: &Scene, optimizer: Optimizer) -> Self {
         let ours = optimizer == Optimizer::GaussNewton;
         let estimate = &scene.estimate;
+        let weighting = estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None });
+        let has_noise = weighting == Weighting::Noise;
         Self {
             optimizer,
-            weighting: estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None }),
+            weighting,
             fit_flux: estimate.fit_flux.unwrap_or(ours),
             fit_background: estimate.fit_background.unwrap_or(ours),
             recentre: estimate.recentre.unwrap_or(ours),
@@ -98,8 +102,8 @@ impl Recipe {
             }),
             restarts: estimate.restarts.unwrap_or(if ours { RESTARTS } else { 0 }),
             // Without weights there is no noise model by which a pixel could be an outlier.
-            reject_outliers: estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None })
-                == Weighting::Noise,
+            reject_outliers: has_noise,
+            search_outliers: has_noise,
             combine: estimate.combine.unwrap_or(if ours { Combine::ClippedMean } else { Combine::Mean }),
         }
     }

@@ -1,21 +1,23 @@
-//! Outlier rejection: an image that the model does not explain is fitted again without its outlier pixels.
+//! Outliers of frames whose sampling is reduced for the fit, which smears them: a frame that the model does not explain, or of which the
+//! fit has rejected pixels, is searched for outliers at its own sampling and fitted again without them. A fit at the native sampling
+//! rejects them itself ([`super::rejection`]).
 
 use super::engine::{FitTask, ImageFit};
 use super::fit_series::{FitSeries, SeriesStep, WITHOUT_OUTLIERS};
 use super::fitter::ModalFitter;
 use super::outliers::{CleanedFrame, OutlierFinder};
 use super::prepare::Frame;
-use super::status::Status;
+use super::rejected::RejectedPixels;
+use super::status::{ImageReport, Status};
 use crate::Result;
 use crate::imaging::Chain;
 use crate::scene::Scene;
 use crate::telescope::Filter;
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 impl ModalFitter {
-    /// Searches for outlier pixels in those of `frames` that the model does not explain, fits these again without them, and keeps
-    /// the better fit. Returns the cleaned frames of the fits that were replaced.
+    /// Searches for outlier pixels in those of `frames` that may have some, fits these again without them, and keeps the better fit. Returns the cleaned frames of the fits that were replaced.
     ///
     /// # Errors
     /// As [`super::engine::fit`].
@@ -28,29 +30,28 @@ impl ModalFitter {
         series: Option<&mut FitSeries>,
     ) -> Result<Vec<Option<CleanedFrame>>> {
         let mut cleaned: Vec<Option<CleanedFrame>> = frames.iter().map(|_| None).collect();
-        if !self.recipe.reject_outliers {
+        if !self.recipe.search_outliers || self.fits_native_pixels() {
             return Ok(cleaned);
         }
         let reports = self.reports(fits);
+        let is_suspect = |report: &ImageReport| report.status != Status::Ok || report.rejected.total() > 0;
         let unexplained: Vec<usize> =
-            (0..fits.len()).filter(|&image| fits[image].is_fitted() && reports[image].status != Status::Ok).collect();
+            (0..fits.len()).filter(|&image| fits[image].is_fitted() && is_suspect(&reports[image])).collect();
         if unexplained.is_empty() {
             return Ok(cleaned);
         }
-        let Some(finder) = OutlierFinder::new(&self.scene, &Filter::new(&self.scene)?) else { return Ok(cleaned) };
-        let find = |&image: &usize| {
-            Some((image, for_fit(finder.clean(frames[image])?, &frames[image], self.fits_native_pixels())))
-        };
+        let finder = OutlierFinder::new(&self.scene, &Filter::new(&self.scene)?);
+        let Some(finder) = finder.filter(OutlierFinder::can_predict) else { return Ok(cleaned) };
+        let find = |&image: &usize| finder.clean(frames[image]).map(|found| (image, found));
         let found: Vec<(usize, CleanedFrame)> = unexplained.par_iter().filter_map(find).collect();
         let empty = ImageFit::new(&self.model.preparation, self.model.optics.modes());
         let mut again = vec![empty; found.len()];
-        let without: Vec<Frame> =
-            found.iter().map(|(image, cleaned)| cleaned.frame(frames[*image].read_noise_e)).collect();
+        let without: Vec<Frame> = found.iter().map(|(image, cleaned)| cleaned.frame(&frames[*image])).collect();
         let images: Vec<usize> = found.iter().map(|(image, _)| *image).collect();
         let step = series.map(|series| SeriesStep { series, images: &images, step: WITHOUT_OUTLIERS });
         self.fit_frames(chain, task, &without, &mut again, step, &mut |_, _| {})?;
         for ((image, found), mut again) in found.into_iter().zip(again) {
-            again.prepared.rejected_pixels = found.rejected;
+            again.prepared.taken_out = again.prepared.taken_out.and(found.rejected);
             if fits[image].improve(again) {
                 cleaned[image] = Some(found);
             }
@@ -65,32 +66,23 @@ impl ModalFitter {
 }
 
 impl CleanedFrame {
-    /// The cleaned frame, with this read noise.
-    pub(super) fn frame(&self, read_noise_e: Option<f64>) -> Frame<'_> {
-        Frame { data_e: self.data_e.view(), bad: self.bad.view(), read_noise_e }
-    }
-}
-
-/// The cleaned frame for a fit: at the native sampling outliers are bad pixels; where the sampling is reduced, which would smear
-/// bad pixels, they keep their value without the excess.
-fn for_fit(found: CleanedFrame, frame: &Frame, native: bool) -> CleanedFrame {
-    let CleanedFrame { data_e, bad, rejected } = found;
-    if native {
-        CleanedFrame { data_e: frame.data_e.to_owned(), bad, rejected }
-    } else {
-        CleanedFrame { data_e, bad: frame.bad.to_owned(), rejected }
+    /// The cleaned `frame`.
+    pub(super) fn frame<'a>(&'a self, frame: &'a Frame) -> Frame<'a> {
+        Frame { data_e: self.data_e.view(), bad: self.bad.view(), read_noise_e: frame.read_noise_e }
     }
 }
 
 /// A cube of images without its outlier pixels.
 pub struct CleanedImages {
-    /// Electrons, `[image, y, x]`; of an outlier, without its excess.
+    /// Electrons, `[image, y, x]`; of an outlier, its prediction from the pixels around it.
     pub images_e: Array3<f64>,
-    /// Number of outlier pixels in each image.
-    pub rejected_pixels: Vec<usize>,
+    /// Bad pixels, with the outliers whose predictions are poor.
+    pub bad: Array3<bool>,
+    /// Outlier pixels of each image.
+    pub rejected: Vec<RejectedPixels>,
 }
 
-/// Subtracts the excess of outlier pixels from images of `scene` (`[image, y, x]`); `None` where there are none.
+/// Images of `scene` (`[image, y, x]`) without outlier pixels; `None` where there are none.
 ///
 /// # Errors
 /// Those of reading the filter.
@@ -102,19 +94,19 @@ pub fn reject_outliers(
 ) -> Result<Option<CleanedImages>> {
     let Some(finder) = OutlierFinder::new(scene, &Filter::new(scene)?) else { return Ok(None) };
     let read_noise_e = read_noise_e.or(scene.image.read_noise_e);
-    let find = |image: usize| -> Option<(Array2<f64>, usize)> {
+    let find = |image: usize| {
         let (data_e, bad) = (images_e.index_axis(Axis(0), image), bad.index_axis(Axis(0), image));
-        finder.clean(Frame { data_e, bad, read_noise_e }).map(|found| (found.data_e, found.rejected))
+        finder.clean(Frame { data_e, bad, read_noise_e })
     };
-    let found: Vec<Option<(Array2<f64>, usize)>> = (0..images_e.dim().0).into_par_iter().map(find).collect();
+    let found: Vec<Option<CleanedFrame>> = (0..images_e.dim().0).into_par_iter().map(find).collect();
     if found.iter().all(Option::is_none) {
         return Ok(None);
     }
-    let mut cleaned = CleanedImages { images_e: images_e.clone(), rejected_pixels: vec![0; found.len()] };
-    for (image, (data_e, rejected)) in found.into_iter().enumerate().filter_map(|(image, found)| Some((image, found?)))
-    {
-        cleaned.images_e.index_axis_mut(Axis(0), image).assign(&data_e);
-        cleaned.rejected_pixels[image] = rejected;
+    let rejected = found.iter().map(|found| found.as_ref().map(|found| found.rejected).unwrap_or_default()).collect();
+    let mut cleaned = CleanedImages { images_e: images_e.clone(), bad: bad.clone(), rejected };
+    for (image, found) in found.into_iter().enumerate().filter_map(|(image, found)| Some((image, found?))) {
+        cleaned.images_e.index_axis_mut(Axis(0), image).assign(&found.data_e);
+        cleaned.bad.index_axis_mut(Axis(0), image).assign(&found.bad);
     }
     Ok(Some(cleaned))
 }
@@ -134,9 +126,9 @@ mod tests {
         let mut images_e = clean_e.clone();
         images_e[[1, 50, 60]] += 1e6;
         let found = reject_outliers(&scene, &images_e, &bad, None).unwrap().unwrap();
-        assert_eq!(found.rejected_pixels, [0, 1, 0]);
+        assert_eq!(found.rejected.iter().map(RejectedPixels::total).collect::<Vec<_>>(), [0, 1, 0]);
         assert!(found.images_e.index_axis(Axis(0), 2) == clean_e.index_axis(Axis(0), 2));
-        // The excess is subtracted up to its own photon noise, 1e3, and a share of the light.
-        assert!((found.images_e[[1, 50, 60]] - clean_e[[1, 50, 60]]).abs() < 5e3);
+        // A prediction is within some 1 % of the light, and its noise.
+        assert!((found.images_e[[1, 50, 60]] - clean_e[[1, 50, 60]]).abs() < 5e3 && found.bad == bad);
     }
 }

@@ -56,7 +56,7 @@ impl ModalFitter {
             }
             let without = |&image: &usize| -> Frame<'a> {
                 match &cleaned[image] {
-                    Some(cleaned) => cleaned.frame(frames[image].read_noise_e),
+                    Some(cleaned) => cleaned.frame(&frames[image]),
                     None => frames[image],
                 }
             };
@@ -70,7 +70,9 @@ impl ModalFitter {
             let step = step.map(|series| SeriesStep { series, images: &failed, step: WITHOUT_OUTLIERS + attempt });
             self.fit_frames(chain, task, &failed_frames, &mut again, step, &mut |_, _| {})?;
             for (image, mut again) in failed.into_iter().zip(again) {
-                again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
+                if let Some(cleaned) = &cleaned[image] {
+                    again.prepared.taken_out = again.prepared.taken_out.and(cleaned.rejected);
+                }
                 let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());
                 if is_same_minimum(after, before) {
                     // The first fit is kept: the other may differ from it by whole wavelengths of pistons.

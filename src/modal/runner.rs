@@ -8,6 +8,7 @@ use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::PreparedFrame;
 use super::recipe::Recipe;
+use super::rejection::reject;
 use super::residual::{photometry, reweigh};
 use crate::Result;
 use crate::imaging::{Evaluation, Precision};
@@ -56,6 +57,10 @@ pub(super) enum Next {
 pub(super) struct Runner {
     solver: QuasiNewton,
     has_noise_weights: bool,
+    /// Whether pixels that the model does not explain are rejected.
+    rejects: bool,
+    /// Whether the last renewal has rejected other pixels than the one before.
+    has_other_pixels: bool,
     /// Step, nm, and decrease of the objective below which a fit ends.
     tolerances: (f64, f64),
     /// Distance of the minimum from `weighted_at` beyond which the weights are renewed, nm.
@@ -80,6 +85,8 @@ impl Runner {
         Ok(Self {
             solver: QuasiNewton::new(metric.clone(), &zeros, settings)?,
             has_noise_weights: recipe.weighting == Weighting::Noise,
+            rejects: recipe.reject_outliers,
+            has_other_pixels: false,
             tolerances,
             reweighting_nm,
             reweightings: 0,
@@ -102,7 +109,7 @@ impl Runner {
     ) -> Result<()> {
         self.solver.begin(metric, scale, start_nm)?;
         self.solver.set_deadline(deadline);
-        self.reweightings = 0;
+        (self.reweightings, self.has_other_pixels) = (0, false);
         self.set_tolerances()?;
         (self.flux_e, self.background_e, self.chi2) = (f64::NAN, f64::NAN, ReducedChi2::NONE);
         Ok(())
@@ -127,7 +134,13 @@ impl Runner {
     /// # Errors
     /// [`crate::Error::Value`] for a tolerance out of range.
     pub(super) fn renew(&mut self, psf: &[f64], image: &mut PreparedFrame) -> Result<()> {
-        let photometry = photometry(&image.exposure, psf);
+        let photometry = if self.rejects {
+            let found;
+            (found, self.has_other_pixels) = reject(image, psf, |image| photometry(&image.exposure, psf));
+            found
+        } else {
+            photometry(&image.exposure, psf)
+        };
         reweigh(&mut image.exposure, psf, photometry, &image.floor_variance_e2);
         self.reweightings += 1;
         self.weighted_at.copy_from_slice(self.solver.point());
@@ -170,7 +183,8 @@ impl Runner {
     /// Whether new weights could move the minimum by more than the step tolerance.
     fn needs_new_weights(&self) -> bool {
         let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
-        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > self.reweighting_nm)
+        let has_moved = moved.fold(0.0, f64::max) > self.reweighting_nm;
+        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && (has_moved || self.has_other_pixels))
     }
 }
 

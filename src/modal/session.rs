@@ -1,5 +1,5 @@
 //! Session: modal fits in real time, with all memory allocated when it is created. Frames are fitted as
-//! [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no outlier search, no restarts.
+//! [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no search for outliers in frames that are reduced, no restarts.
 
 mod options;
 #[cfg(all(test, feature = "opencl", debug_assertions))]
@@ -33,7 +33,7 @@ use std::time::Instant;
 /// read. It is one thread's at a time.
 ///
 /// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit of the scene's modes, no modes with a
-/// prior, no outlier rejection, no restarts. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
+/// prior, no restarts; pixels that the model does not explain are rejected in the fit. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
 /// [`SessionOptions`] leave them open.
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free

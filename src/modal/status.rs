@@ -6,6 +6,8 @@ use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{PreparedFrame, Refusal};
+use super::rejected::RejectedPixels;
+use super::rejection;
 use super::sequence::{SEQUENCE, distances, outliers};
 use super::tilts::Tilts;
 use crate::optimize::StopReason;
@@ -149,8 +151,8 @@ pub struct ImageReport {
     pub tip_tilt_nm: [f64; 2],
     /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
-    /// Number of outlier pixels of the frame that were rejected.
-    pub rejected_pixels: usize,
+    /// Outlier pixels of the frame that were rejected.
+    pub rejected: RejectedPixels,
 }
 
 impl ImageReport {
@@ -260,7 +262,7 @@ pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, min
         background_e: minimum.background_e / model.preparation.native_pixels(),
         tip_tilt_nm: tilts.tip_tilt_nm(&minimum.coefficients_nm, prepared.shift_pixels),
         bad_pixels: prepared.bad_pixels,
-        rejected_pixels: prepared.rejected_pixels,
+        rejected: rejection::kinds(prepared, &model.preparation),
     }
 }
 
@@ -277,7 +279,7 @@ pub(super) fn unfitted_report(status: Status) -> ImageReport {
         background_e: f64::NAN,
         tip_tilt_nm: [f64::NAN; 2],
         bad_pixels: 0,
-        rejected_pixels: 0,
+        rejected: RejectedPixels::default(),
     }
 }
 

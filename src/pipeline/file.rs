@@ -133,7 +133,7 @@ fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
         Column::f64("TIP_NM", "nm", reals(&|image| image.tip_tilt_nm[0])),
         Column::f64("TILT_NM", "nm", reals(&|image| image.tip_tilt_nm[1])),
         Column::i64("BAD_PIXELS", integers(&|image| image.bad_pixels as i64)),
-        Column::i64("REJECTED_PIXELS", integers(&|image| image.rejected_pixels as i64)),
+        Column::i64("REJECTED_PIXELS", integers(&|image| image.rejected.total() as i64)),
         Column::i64("USED", integers(&|image| i64::from(image.is_used))),
     ];
     let channel = if estimate.channels.is_empty() { None } else { Some(channel) };

@@ -215,7 +215,7 @@ fn outcome(found: &SequenceResult, image: usize, is_used: bool) -> ImageOutcome 
         background_e: report.background_e,
         tip_tilt_nm: [f64::NAN; 2],
         bad_pixels: 0,
-        rejected_pixels: found.rejected_pixels[image],
+        rejected: found.rejected[image],
     }
 }
 

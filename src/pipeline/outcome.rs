@@ -1,6 +1,6 @@
 //! Outcome of each image of an estimate.
 
-use crate::modal::{ImageReport, ImageStatus};
+use crate::modal::{ImageReport, ImageStatus, RejectedPixels};
 
 /// Outcome of one image.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +29,7 @@ pub struct ImageOutcome {
     /// Pixels of the fitted part that were marked bad.
     pub bad_pixels: usize,
     /// Outlier pixels that were found and rejected.
-    pub rejected_pixels: usize,
+    pub rejected: RejectedPixels,
 }
 
 impl ImageOutcome {
@@ -46,7 +46,7 @@ impl ImageOutcome {
             background_e: report.background_e,
             tip_tilt_nm: report.tip_tilt_nm,
             bad_pixels: report.bad_pixels,
-            rejected_pixels: report.rejected_pixels,
+            rejected: report.rejected,
         }
     }
 }

@@ -11,9 +11,9 @@ pub struct Policy {
     /// Whether the Zernikes of Noll indices 22 to 45 are fitted too, with a prior whose level follows from the images, so that
     /// the error bars include them. Without effect where the scene names `modes.exact_zernikes`.
     pub prior_modes: bool,
-    /// Whether outlier pixels (cosmic rays, hot and dead pixels) are sought in images that the model does not explain,
-    /// and rejected.
-    pub reject_outliers: bool,
+    /// Whether images that are reduced for the fit are searched for outlier pixels (cosmic rays, hot and dead pixels) where the
+    /// model does not explain them, and fitted again. What a fit itself rejects it always does.
+    pub search_outliers: bool,
     /// Whether a fit that ended in a wrong minimum is restarted from a perturbed start, as often as `estimate.restarts`
     /// says (6 unless named).
     pub restart: bool,
@@ -27,14 +27,14 @@ pub struct Policy {
 
 impl Default for Policy {
     fn default() -> Self {
-        Self { prior_modes: true, reject_outliers: true, restart: true, fit_optics: true, select_model: true }
+        Self { prior_modes: true, search_outliers: true, restart: true, fit_optics: true, select_model: true }
     }
 }
 
 impl Policy {
     /// No retries: the time of a fit is bounded by its own evaluations.
     pub const fn realtime() -> Self {
-        Self { prior_modes: false, reject_outliers: false, restart: false, fit_optics: false, select_model: false }
+        Self { prior_modes: false, search_outliers: false, restart: false, fit_optics: false, select_model: false }
     }
 
     /// The word in reports and files: `full`, `realtime`, or `custom`.
@@ -49,7 +49,7 @@ impl Policy {
     /// The recipe of the fits.
     pub(super) fn recipe(&self, scene: &Scene) -> Recipe {
         let mut recipe = if self.prior_modes { Recipe::with_prior(scene) } else { Recipe::from_scene(scene) };
-        recipe.reject_outliers &= self.reject_outliers;
+        recipe.search_outliers &= self.search_outliers;
         if !self.restart {
             recipe.restarts = 0;
         }
@@ -95,8 +95,8 @@ mod tests {
         assert_eq!((full.name(), realtime.name()), ("full", "realtime"));
         assert_eq!(Policy { restart: false, ..full }.name(), "custom");
         let (whole, quick) = (full.recipe(&scene), realtime.recipe(&scene));
-        assert!(whole.restarts == 6 && whole.reject_outliers && whole.prior_zernikes != NollRange::None);
-        assert!(quick.restarts == 0 && !quick.reject_outliers && quick.prior_zernikes == NollRange::None);
+        assert!(whole.restarts == 6 && whole.search_outliers && whole.prior_zernikes != NollRange::None);
+        assert!(quick.restarts == 0 && !quick.search_outliers && quick.prior_zernikes == NollRange::None);
         assert_eq!(quick.exact_zernikes, whole.exact_zernikes);
         // Modes that the scene names are all that are fitted.
         let named = scene.with(&[("modes.exact_zernikes", "[2, 21]")]).unwrap();

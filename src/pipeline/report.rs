@@ -3,6 +3,7 @@
 use super::estimate::{Estimate, Figure, MapSummary, OpticalParameter};
 use super::images::counted;
 use super::telemetry::TelemetryCheck;
+use crate::modal::RejectedPixels;
 use crate::scene::Combine;
 use std::fmt::Write;
 
@@ -92,12 +93,13 @@ fn table(estimate: &Estimate) -> String {
 fn quality(estimate: &Estimate) -> String {
     let pixels = |what: &dyn Fn(&super::ImageOutcome) -> usize| estimate.images.iter().map(what).sum::<usize>();
     let mut text = format!("Reduced χ² {:.3}", estimate.reduced_chi2);
-    let (masked, rejected) = (pixels(&|image| image.bad_pixels), pixels(&|image| image.rejected_pixels));
+    let masked = pixels(&|image| image.bad_pixels);
+    let rejected = estimate.images.iter().fold(RejectedPixels::default(), |all, image| all.and(image.rejected));
     if masked > 0 {
         text += &format!(", {} masked", counted(masked, "pixel"));
     }
-    if rejected > 0 {
-        text += &format!(", {} rejected", counted(rejected, "outlier pixel"));
+    if rejected.total() > 0 {
+        text += &format!(", {} rejected ({})", counted(rejected.total(), "outlier pixel"), rejected.kinds());
     }
     text + if estimate.is_sequence { ". Error bars from the scatter between images." } else { "." }
 }

@@ -6,7 +6,7 @@ use super::policy::Policy;
 use super::sequence_channel::{Sequence, SequenceChannel, progress_of};
 use super::telemetry::{self, TelemetryCheck};
 use crate::ao::{Lenslets, sensor_pupil};
-use crate::modal::{CleanedImages, Cube, PistonInteger, are_determined};
+use crate::modal::{CleanedImages, Cube, PistonInteger, RejectedPixels, are_determined};
 use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
@@ -29,7 +29,7 @@ pub(super) struct SequenceResult {
     /// Number of exposures: of images, or of sets of simultaneous ones.
     pub(super) exposures: usize,
     /// Outlier pixels that were rejected from each image.
-    pub(super) rejected_pixels: Vec<usize>,
+    pub(super) rejected: Vec<RejectedPixels>,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
     pub(super) integers: Vec<PistonInteger>,
     /// What was assumed of the adaptive optics.
@@ -225,15 +225,15 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     };
     let (device, device_failure) = retrievers[0].device();
     let rejected = |(channel, cleaned): (&SequenceChannel, &Option<CleanedImages>)| match cleaned {
-        None => vec![0; channel.images.len()],
-        Some(cleaned) => cleaned.rejected_pixels.clone(),
+        None => vec![RejectedPixels::default(); channel.images.len()],
+        Some(cleaned) => cleaned.rejected.clone(),
     };
     Ok(SequenceResult {
         iterations,
         reports: std::mem::take(&mut source.reports),
         exposures: sequence.exposures(),
         retrieval_seconds: source.seconds,
-        rejected_pixels: channels.iter().zip(&cleaned).flat_map(rejected).collect(),
+        rejected: channels.iter().zip(&cleaned).flat_map(rejected).collect(),
         integers: integers.unwrap_or_default(),
         ao_knowledge,
         telemetry,

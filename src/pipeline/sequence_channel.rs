@@ -25,8 +25,11 @@ impl SequenceChannel<'_> {
 
     pub(super) fn cube<'b>(&'b self, cleaned: &'b Option<CleanedImages>) -> Cube<'b> {
         let images = self.images;
-        let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned| &cleaned.images_e);
-        Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e }
+        let (images_e, bad) = match cleaned {
+            Some(cleaned) => (&cleaned.images_e, &cleaned.bad),
+            None => (images.images_e.as_ref(), images.bad.as_ref()),
+        };
+        Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: images.read_noise_e }
     }
 }
 

@@ -4,7 +4,9 @@ use super::explain::is_mean_misfit;
 use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
-use crate::modal::{self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, Session, Status};
+use crate::modal::{
+    self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, RejectedPixels, Session, Status,
+};
 use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
 
@@ -266,9 +268,9 @@ pub(super) fn map_warnings(
         let images = if exposures == all { "images" } else { "exposures" };
         sentences.push(format!("{left_out} of {exposures} {images} {were} left out"));
     }
-    let affected = found.rejected_pixels.iter().filter(|pixels| **pixels > 0).count();
+    let affected = found.rejected.iter().filter(|pixels| pixels.total() > 0).count();
     if affected > 0 {
-        let rejected = found.rejected_pixels.iter().sum::<usize>();
+        let rejected = found.rejected.iter().map(RejectedPixels::total).sum::<usize>();
         let (pixels, were) = (counted(rejected, "outlier pixel"), if rejected == 1 { "was" } else { "were" });
         sentences.push(format!("{pixels} in {affected} of {all} images {were} rejected (cosmic rays, hot pixels)"));
     }

@@ -3,6 +3,7 @@
 //! Densities are in nm²·m² against cycles/m, so that `∫ S(f) 2πf df` is the variance in nm² on any grid.
 
 use super::ao_residual::AoResidual;
+use crate::fourier::disc;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::f64::consts::{PI, TAU};
@@ -115,19 +116,6 @@ impl RadialPsd {
         };
         (0..points).map(term).sum()
     }
-}
-
-/// |Fourier transform|² of a disc over its area's square, at `x` cycles a radius: that of a segment, without its corners. Its
-/// integral over the plane is 1/area.
-fn disc(x: f64) -> f64 {
-    // J1 by its integral; the trapezoidal rule over a period of an analytic function converges geometrically.
-    let (argument, points) = (TAU * x, 64);
-    let j1: f64 = (0..points)
-        .map(|i| PI * (f64::from(i) + 0.5) / f64::from(points))
-        .map(|t| (t - argument * t.sin()).cos())
-        .sum::<f64>()
-        / f64::from(points);
-    if argument < 1e-6 { 1.0 } else { (2.0 * j1 / argument).powi(2) }
 }
 
 /// PSD of variance 1 that falls as f⁻³ (Zernike polynomials whose variance falls as the square of their order) from one cycle

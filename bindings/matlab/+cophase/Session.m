@@ -58,12 +58,13 @@ classdef Session < cophase.Handle
             %   [c, report] = s.fit(frames) also returns a struct for each image, with the fields
             %      status         'OK'; 'MISFIT' if the residual differs from the noise; 'WRONG_MINIMUM';
             %                     'NOT_CONVERGED'; 'UNUSABLE', with coefficients of NaN; 'DEADLINE', the best so far
-            %      bad_pixels     pixels that took no part
+            %      bad_pixels     pixels that were marked
             %      evaluations    of objective and gradient
             %      reduced_chi2   1 where the model is right
             %      flux_e, background_e, tip_nm, tilt_nm
             %      seconds        duration of the fit
-            %   and is_used, is_clipped, rejected_pixels, which are 0 in a session.
+            %      rejected_pixels  outlier pixels
+            %   and is_used, is_clipped, which are 0 in a session.
             %
             %   [...] = s.fit(frames, Name, Value, ...) chooses:
             %      'deadline_s'    time for the whole call, s; none

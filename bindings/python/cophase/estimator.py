@@ -88,7 +88,7 @@ class Estimator(Handle):
         Scene: a TOML file, the name of a preset (:func:`cophase.preset`), or TOML text. With
         ``estimate.budget_nm`` the model is planned here, which takes some seconds.
     policy : {"full", "realtime"}
-        ``"full"``: modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it, a
+        ``"full"``: modes with a prior, a search for outlier pixels, restarts, optics fitted if the scene asks for it, a
         larger model where the scene does not explain the images (``estimate.model``).
         ``"realtime"``: one fit of the scene's modes, no retries, as a :class:`cophase.Session` does.
     threads : int, optional

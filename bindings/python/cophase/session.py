@@ -30,11 +30,11 @@ class Fit:
     coefficients_nm : (modes,) or (images, modes) array
         nm of wavefront; NaN for an unusable image.
     reports : () or (images,) record array
-        ``status``, a number (:attr:`status` has its name); ``bad_pixels``, those that took no part; ``policy``, a
+        ``status``, a number (:attr:`status` has its name); ``bad_pixels``, those that were marked; ``policy``, a
         number; ``evaluations`` of objective and gradient; ``reduced_chi2``, 1 where the model is right; ``flux_e`` of
         the star, electrons; ``background_e``, electrons per pixel; ``tip_nm`` and ``tilt_nm`` of the fitted wavefront
-        along x and y, nm RMS; ``seconds`` of the fit; ``is_used``, ``is_clipped``, ``rejected_pixels`` and ``channel``,
-        which are 0 in a session. Read as ``reports.flux_e``.
+        along x and y, nm RMS; ``seconds`` of the fit; ``rejected_pixels``, outliers; ``is_used``, ``is_clipped`` and
+        ``channel``, which are 0 in a session. Read as ``reports.flux_e``.
     """
 
     coefficients_nm: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Fit:
 class Session(Handle):
     """Fits of single images with a model, in memory that is allocated when the session is created.
 
-    It follows the policy ``"realtime"``: no modes with a prior, no outlier rejection, no restarts;
+    It follows the policy ``"realtime"``: no modes with a prior, no restarts;
     :class:`cophase.Estimator` is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except
     :meth:`cancel`; other Python threads run during a call. The same frame gives the same bits, with any other frames
     in the call, in every language.

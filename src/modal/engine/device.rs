@@ -4,6 +4,7 @@ use super::cpu::CpuEngine;
 use super::task::{Engine, FitState, FitTask, ImageFit, Prepare, Watch, interrupted, stop_if_cancelled, unusable};
 use crate::imaging::{Chain, Evaluation, Exposure};
 use crate::modal::prepare::Preparer;
+use crate::modal::rejection::weigh_dead;
 use crate::modal::runner::{Next, Runner, settings};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2};
@@ -122,6 +123,9 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
         let is_late = task.is_late();
         let mut ready: Vec<&mut ImageFit> =
             images.iter_mut().filter(|image| !is_late && image.state == FitState::NotBegun).collect();
+        if task.recipe.reject_outliers {
+            ready.par_iter_mut().for_each(|image| weigh_dead(&mut image.prepared));
+        }
         let (count, mut done) = (ready.len(), 0);
         for images in ready.chunks_mut(tile) {
             let mut watch = |tile_done: usize, _: usize| watch(done + tile_done, count);

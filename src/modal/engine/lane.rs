@@ -5,6 +5,7 @@ use super::task::{FitState, FitTask, ImageFit, Prepare};
 use crate::Result;
 use crate::imaging::{CpuChain, Evaluation, FlatWavefront, LoadedImage, Polynomial, Precision, Scratch};
 use crate::modal::prepare::{PreparedFrame, Preparer};
+use crate::modal::rejection::weigh_dead;
 use crate::modal::runner::{Next, Runner, settings};
 use crate::optimize::StopReason;
 use ndarray::ArrayView1;
@@ -64,6 +65,9 @@ impl<T: Polynomial> Lane<T> {
         }
         match prepare(index, &mut self.preparer, &mut image.prepared) {
             Ok(()) => {
+                if task.recipe.reject_outliers {
+                    weigh_dead(&mut image.prepared);
+                }
                 let metric = task.metrics.for_image(task.reference, &image.prepared)?;
                 self.runner.begin(metric, &image.start_nm, task.deadline)?;
                 self.minimize(chain, &mut image.prepared)?;
