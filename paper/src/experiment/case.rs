@@ -129,7 +129,15 @@ impl Case {
     /// # Errors
     /// Those of [`ModalFitter::estimate`]; a fit that fails is no error but a [`Trial::status`].
     pub fn fit(&self, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
-        let key = XxHash3_128::oneshot(self.estimator.scene().text().as_bytes());
+        self.fit_changed("", draws, progress)
+    }
+
+    /// As [`Case::fit`], of draws whose images were changed in a way of this name.
+    ///
+    /// # Errors
+    /// As [`Case::fit`].
+    pub fn fit_changed(&self, change: &str, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
+        let key = XxHash3_128::oneshot((self.estimator.scene().text().to_owned() + change).as_bytes());
         let batches = draws.par_chunks(BATCH).enumerate().map(|(number, batch)| {
             let (row, first) = (format!("{key:032x}, {} draws", batch.len()), batch[0].seed);
             // The first batch of each case is of another part, so that many small cases are spread.

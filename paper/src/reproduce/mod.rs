@@ -6,6 +6,7 @@
 //! the pupil (weight A) in nm, piston, tip and tilt removed.
 
 mod artificial_source;
+mod bad_pixels;
 mod beyond;
 mod channels;
 mod checks;
@@ -30,6 +31,7 @@ mod table_rows;
 mod target;
 
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
+pub use bad_pixels::{BadPixelRow, BadPixels, bad_pixels};
 pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, beyond_rows, held_maps};
 pub use channels::{CHANNEL_ROWS, ChannelDraw, ChannelRow, ChannelTable, channels};
 pub use checks::{CHECK_ROWS, CheckDraw, CheckRow, Checks, checks};

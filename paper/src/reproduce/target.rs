@@ -4,8 +4,8 @@ use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
     ChannelRow, CheckRow, HardCase, MovingRow, Options, Progress, PullRow, PyramidParts, Report, artificial_source,
-    beyond, beyond_rows, channels, checks, closed_loop, diversity, hard_cases, image_numbers, moving_star, night,
-    observations, on_sky, petals, pulls, pyramid, samples,
+    bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, hard_cases, image_numbers, moving_star,
+    night, observations, on_sky, petals, pulls, pyramid, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::pipeline::Part;
@@ -39,6 +39,8 @@ pub enum Target {
     Beyond,
     /// What goes wrong, and whether the answer says so.
     HardCases,
+    /// Pixels that are bad and not marked.
+    BadPixels,
     /// Residual over error bar against brightness and number of images.
     Pulls,
     /// Several images of one wavefront: pairs and colours.
@@ -61,7 +63,7 @@ pub enum Target {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 21] = [
+    pub const ALL: [Target; 22] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -74,6 +76,7 @@ impl Target {
         Target::Psd,
         Target::Beyond,
         Target::HardCases,
+        Target::BadPixels,
         Target::Pulls,
         Target::Channels,
         Target::Checks,
@@ -103,6 +106,7 @@ impl Target {
             Target::Psd => "psd",
             Target::Beyond => "beyond",
             Target::HardCases => "hard-cases",
+            Target::BadPixels => "bad-pixels",
             Target::Pulls => "pulls",
             Target::Channels => "channels",
             Target::Checks => "checks",
@@ -134,6 +138,9 @@ impl Target {
                 "full-phase estimates behind a loop, beside the paper's way; draws that are there are kept"
             }
             Target::HardCases => "hard cases: is the answer right, and where it is not, does it say so?",
+            Target::BadPixels => {
+                "hot and dead pixels and cosmic rays that are not marked: residual over the bound of the good pixels"
+            }
             Target::Pulls => {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
@@ -162,6 +169,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
+            Target::BadPixels => 20,
             Target::Samples | Target::HardCases | Target::Observations | Target::Checks | Target::Petals => 8,
             Target::Diversity => 6,
             // Nights without jumps, for the false alarms: 50 of one each are known to 14 %.
@@ -261,6 +269,7 @@ impl Target {
             Target::HardCases => {
                 run.end(hard_cases(&HardCase::named(rows)?, seeds, progress)?, |found, to| found.report(to))
             }
+            Target::BadPixels => run.end(bad_pixels(seeds, quick, progress)?, |found, to| found.report(to)),
             Target::Pulls => run.end(pulls(&PullRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),
             Target::Channels => {
                 run.end(channels(&ChannelRow::named(rows)?, seeds, progress)?, |found, to| found.report(to))

@@ -1,5 +1,6 @@
 //! The experiments, run in this process, and the command line of the program.
 
+mod bad_pixels;
 mod bench;
 #[path = "../../../tests/common/blocks.rs"]
 mod blocks;
