@@ -20,6 +20,8 @@ const BETTER: f64 = 0.15;
 const SIMPLER: f64 = 0.05;
 /// Slopes to one independent number: residuals of neighbouring subapertures are correlated.
 const SLOPES_PER_NUMBER: f64 = 4.0;
+/// Scatter of a slope over that of the others below which its subaperture is stuck: pointing alone moves each by a third or more.
+const STUCK_SHARE: f64 = 1e-3;
 /// Significance of a correlation, standard deviations.
 const SIGNIFICANT: f64 = 3.0;
 /// Fewest images whose order is identifiable: of two, each is the negative of the other about their mean.
@@ -63,6 +65,8 @@ pub struct SlopeRegression {
     pub excludes_flips: bool,
     /// Least correlation that noise does not explain.
     pub significant_correlation: f64,
+    /// Subapertures (row, column) whose slopes do not change from image to image, where those of the others do.
+    pub stuck: Vec<(usize, usize)>,
 }
 
 impl SlopeRegression {
@@ -90,11 +94,13 @@ impl SlopeRegression {
             fault: None,
             excludes_flips: false,
             significant_correlation: significant,
+            stuck: Vec::new(),
         };
         if moving <= 1e-12 * whole || whole == 0.0 {
             found.fault = Some(if whole == 0.0 { TelemetryFault::Zero } else { TelemetryFault::Constant });
             return found;
         }
+        found.stuck = stuck(measured_mas, subapertures).map(|at| (at / across, at % across)).collect();
         let orders: Vec<(SlopeOrder, f64)> = OTHER_SLOPE_ORDERS
             .into_iter()
             .filter_map(|order| {
@@ -179,6 +185,17 @@ fn dynamic(slopes_mas: ArrayView2<f64>) -> Array2<f64> {
         slopes -= &mean;
     }
     slopes
+}
+
+/// Those of the `subapertures` both of whose slopes scatter over the images by less than [`STUCK_SHARE`] of the median scatter.
+fn stuck(slopes_mas: ArrayView2<f64>, subapertures: &[usize]) -> impl Iterator<Item = usize> {
+    let scatter: Vec<f64> = slopes_mas.columns().into_iter().map(|column| column.std(0.0)).collect();
+    let mut sorted = scatter.clone();
+    sorted.sort_by(f64::total_cmp);
+    let least = STUCK_SHARE * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let half = scatter.len() / 2;
+    let is_stuck = move |&(number, _): &(usize, &usize)| scatter[number] < least && scatter[half + number] < least;
+    subapertures.iter().enumerate().filter(is_stuck).map(|(_, &subaperture)| subaperture)
 }
 
 /// Gain and correlation of `measured` on `predicted`.
@@ -296,5 +313,19 @@ mod tests {
         one.row_mut(2).assign(&normal(1, 8).row(0));
         let found = compare(&one, &predicted);
         assert_eq!((found.fault.clone(), found.odd_images(120)), (None, vec![2]), "{found:?}");
+    }
+
+    #[test]
+    fn stuck_subapertures_are_named() {
+        let predicted = normal(5, 1);
+        let mut measured = &predicted + &(normal(5, 3) * 0.4);
+        assert!(compare(&measured, &predicted).stuck.is_empty());
+        let place = subapertures().iter().position(|&at| at == 3 * ACROSS + 5).unwrap();
+        measured.column_mut(place).fill(900.0);
+        // An axis by itself can stand still where a spot drifts along the other.
+        assert!(compare(&measured, &predicted).stuck.is_empty());
+        measured.column_mut(60 + place).fill(-900.0);
+        let found = compare(&measured, &predicted);
+        assert_eq!((found.stuck.as_slice(), &found.fault), (&[(3, 5)][..], &None), "{found:?}");
     }
 }

@@ -123,6 +123,16 @@ pub(super) fn check(
             ));
         }
     }
+    if !found.stuck.is_empty() {
+        let places: Vec<String> = found.stuck.iter().map(|(row, column)| format!("{row}, {column}")).collect();
+        let them = if places.len() == 1 { "it" } else { "they" };
+        check.warnings.push(format!(
+            "the slopes of {} (row, column from 0: {}) are the same in every image: the NCPA absorb what {them} should have \
+             measured, beyond their error bars",
+            counted(places.len(), "subaperture"),
+            places.join("; ")
+        ));
+    }
     Ok(Some(check))
 }
 
