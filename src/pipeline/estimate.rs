@@ -218,6 +218,17 @@ impl OpticalParameter {
     pub fn is_identifiable(&self) -> bool {
         !self.sigma.is_infinite()
     }
+
+    /// Takes the key and the unit by which `scene` names the quantity.
+    pub(super) fn take_form_of(&mut self, scene: &Scene) {
+        let own = |value: f64| scene.own_form(&self.key, value);
+        let (key, value) = own(self.value);
+        if key != self.key {
+            let [of_scene, beyond] = [self.scene, self.value + self.sigma].map(|value| own(value).1);
+            let sigma = if self.sigma.is_finite() { (beyond - value).abs() } else { self.sigma };
+            (self.key, self.value, self.scene, self.sigma) = (key, value, of_scene, sigma);
+        }
+    }
 }
 
 impl Estimate {
@@ -304,5 +315,34 @@ impl Estimate {
             corrections.slopes_mas.iter_mut().for_each(|mas| *mas *= check.divided_by);
         }
         Ok(corrections)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fitted_defocus_has_the_unit_of_the_scene() {
+        let scene = Scene::preset("keck-artificial").unwrap();
+        let waves = || OpticalParameter {
+            key: "image.diversity_focus_waves_rms".into(),
+            segment: None,
+            scene: 1.5,
+            value: 1.47,
+            sigma: 0.001,
+            identifiable: 0.1,
+        };
+        let mut same = waves();
+        same.take_form_of(&scene);
+        assert_eq!(same, waves());
+        let mut converted = waves();
+        // 1.5 waves of 2168.6 nm.
+        converted.take_form_of(&scene.with(&[("image.diversity_focus_nm_rms", "3252.9")]).unwrap());
+        let OpticalParameter { key, scene, value, sigma, .. } = &converted;
+        assert_eq!(key, "image.diversity_focus_nm_rms");
+        for (found, expected) in [(scene, 1.5), (value, 1.47), (sigma, 0.001)] {
+            assert!((found / 2168.6 - expected).abs() < 1e-9 * expected, "{converted:?}");
+        }
     }
 }

@@ -23,7 +23,9 @@ use std::sync::Arc;
 pub(super) fn estimate(task: &ModalTask, series: Option<&mut FitSeries>) -> Result<Estimate> {
     let mut fitted = task.fit(series)?;
     explain(task, &mut fitted)?;
-    fitted.into_estimate(task.policy)
+    let mut estimate = fitted.into_estimate(task.policy)?;
+    estimate.optics.iter_mut().for_each(|parameter| parameter.take_form_of(task.scene));
+    Ok(estimate)
 }
 
 impl Fitted {
