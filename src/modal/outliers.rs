@@ -43,7 +43,7 @@ const COARSE_NOISE_SHARE: f64 = 1e-2;
 const MIN_NOISE_E: f64 = 1.0;
 /// The absolute value of a normal variable below which half of them are.
 const NORMAL_MEDIAN: f64 = 0.6745;
-/// Parts in which a column or row is judged.
+/// Parts in which a column or row is candidates.
 const LINE_PARTS: usize = 8;
 /// Standard deviations of the mean deviation of a part of it beyond which it is an outlier.
 const LINE_LIMIT: f64 = 6.0;
@@ -151,9 +151,9 @@ impl OutlierFinder {
         let most = (MAX_SHARE * known.len() as f64) as usize;
         search.find_pixels(vec![true; rows], most)?;
         let mut rejected = if self.can_predict() { search.find_lines(most)? } else { RejectedPixels::default() };
-        let suspects: Vec<_> =
+        let candidates: Vec<_> =
             all(&search.bad).into_iter().filter(|&at| !known[at] && !search.is_in_line[at]).collect();
-        for excess_e in search.acquit(suspects) {
+        for excess_e in search.keep_significant(candidates) {
             rejected.high += usize::from(excess_e > 0.0);
             rejected.low += usize::from(excess_e < 0.0);
         }
@@ -270,7 +270,7 @@ impl Search<'_> {
     }
 
     /// Computes the deviations of the rows that have `changed`, and the scale of all.
-    fn judge(&mut self, changed: &[bool]) {
+    fn compute_deviations(&mut self, changed: &[bool]) {
         let (rows, columns) = self.bad.dim();
         for y in (0..rows).filter(|&y| changed[y]) {
             let mut residual_e = self.data_e.row(y).to_owned();
@@ -333,50 +333,50 @@ impl Search<'_> {
         found
     }
 
-    /// Takes those of the `suspects` back that do not deviate from their prediction from good pixels alone: of each neighbourhood the
+    /// Takes those of the `candidates` back that do not deviate from their prediction from good pixels alone: of each neighbourhood the
     /// least deviating first, from which others are then predicted better. Returns the excess of those that are left, e⁻, which
     /// their predictions replace.
-    fn acquit(&mut self, suspects: Vec<(usize, usize)>) -> Vec<f64> {
-        let mut judged: Vec<Suspect> = suspects.into_iter().map(Suspect::new).collect();
+    fn keep_significant(&mut self, pixels: Vec<(usize, usize)>) -> Vec<f64> {
+        let mut candidates: Vec<Candidate> = pixels.into_iter().map(Candidate::new).collect();
         loop {
-            for suspect in judged.iter_mut().filter(|suspect| suspect.deviation.is_nan()) {
-                let at = suspect.at;
+            for candidate in candidates.iter_mut().filter(|candidate| candidate.deviation.is_nan()) {
+                let at = candidate.at;
                 let (expected_e, variance_e2) = self.predicted(at).unwrap_or((self.given_e[at], f64::INFINITY));
                 self.data_e[at] = expected_e;
-                suspect.excess_e = self.given_e[at] - expected_e;
-                suspect.deviation = (suspect.excess_e / variance_e2.sqrt()).abs();
+                candidate.excess_e = self.given_e[at] - expected_e;
+                candidate.deviation = (candidate.excess_e / variance_e2.sqrt()).abs();
             }
             let is_least = |place: usize| {
-                let own = &judged[place];
+                let own = &candidates[place];
                 // They are in the order of their rows.
-                let is_close = |other: &&Suspect| other.at.0.abs_diff(own.at.0) <= REACH;
-                let before = judged[..place].iter().rev().take_while(is_close);
-                let mut near = before.chain(judged[place + 1..].iter().take_while(is_close));
+                let is_close = |other: &&Candidate| other.at.0.abs_diff(own.at.0) <= REACH;
+                let before = candidates[..place].iter().rev().take_while(is_close);
+                let mut near = before.chain(candidates[place + 1..].iter().take_while(is_close));
                 near.all(|other| !other.is_near(own.at) || other.deviation >= own.deviation)
             };
-            let free: Vec<(usize, usize)> = (0..judged.len())
-                .filter(|&place| judged[place].deviation <= LIMIT * self.scale && is_least(place))
-                .map(|place| judged[place].at)
+            let free: Vec<(usize, usize)> = (0..candidates.len())
+                .filter(|&place| candidates[place].deviation <= LIMIT * self.scale && is_least(place))
+                .map(|place| candidates[place].at)
                 .collect();
             if free.is_empty() {
-                return judged.into_iter().map(|suspect| suspect.excess_e).collect();
+                return candidates.into_iter().map(|candidate| candidate.excess_e).collect();
             }
-            judged.retain(|suspect| free.binary_search(&suspect.at).is_err());
+            candidates.retain(|candidate| free.binary_search(&candidate.at).is_err());
             for &at in &free {
                 (self.bad[at], self.data_e[at]) = (false, self.given_e[at]);
             }
-            for suspect in judged.iter_mut().filter(|suspect| free.iter().any(|&at| suspect.is_near(at))) {
-                suspect.deviation = f64::NAN;
+            for candidate in candidates.iter_mut().filter(|candidate| free.iter().any(|&at| candidate.is_near(at))) {
+                candidate.deviation = f64::NAN;
             }
         }
     }
 
     /// Replaces single outliers until there are none; `None` where they are more than `most`. At first the rows that have `changed` are
-    /// judged.
+    /// candidates.
     fn find_pixels(&mut self, mut changed: Vec<bool>, most: usize) -> Option<()> {
         let rows = changed.len();
         for _ in 0..ROUNDS {
-            self.judge(&changed);
+            self.compute_deviations(&changed);
             let found = self.most_deviating();
             if found.is_empty() {
                 break;
@@ -415,7 +415,7 @@ impl Search<'_> {
                 if self.bad.iter().filter(|bad| **bad).count() > most {
                     return None;
                 }
-                self.judge(&vec![true; rows]);
+                self.compute_deviations(&vec![true; rows]);
             }
         }
         Some(found)
@@ -444,7 +444,7 @@ impl Search<'_> {
 }
 
 /// A pixel that may be an outlier.
-struct Suspect {
+struct Candidate {
     at: (usize, usize),
     /// Above its prediction, e⁻.
     excess_e: f64,
@@ -452,7 +452,7 @@ struct Suspect {
     deviation: f64,
 }
 
-impl Suspect {
+impl Candidate {
     fn new(at: (usize, usize)) -> Self {
         Self { at, excess_e: f64::NAN, deviation: f64::NAN }
     }

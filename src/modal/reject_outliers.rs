@@ -34,9 +34,9 @@ impl ModalFitter {
             return Ok(cleaned);
         }
         let reports = self.reports(fits);
-        let is_suspect = |report: &ImageReport| report.status != Status::Ok || report.rejected.total() > 0;
+        let may_have_outliers = |report: &ImageReport| report.status != Status::Ok || report.rejected.total() > 0;
         let unexplained: Vec<usize> =
-            (0..fits.len()).filter(|&image| fits[image].is_fitted() && is_suspect(&reports[image])).collect();
+            (0..fits.len()).filter(|&image| fits[image].is_fitted() && may_have_outliers(&reports[image])).collect();
         if unexplained.is_empty() {
             return Ok(cleaned);
         }

@@ -2,7 +2,7 @@
 //!
 //! At every renewal of the weights each pixel's residual is compared with its noise and with the residuals around it. Where the model is
 //! wrong, or the fit is not at its minimum yet, residuals are large together, over λ/D or more; those of a bad pixel are large
-//! alone. All pixels are judged anew each time, so that a pixel that was rejected by a poor model returns.
+//! alone. All pixels are compared anew each time, so that a pixel that was rejected by a poor model returns.
 
 use super::chi2::pixel_variance;
 use super::prepare::{Preparation, PreparedFrame};
@@ -23,7 +23,7 @@ const QUANTILE: f64 = 0.75;
 const NORMAL_QUANTILE: f64 = 1.150;
 /// Least number of pixels that a scale can be of.
 const LEAST_AROUND: usize = 6;
-/// Parts in which a column or row is judged, so that no single part of it decides.
+/// Parts in which a column or row is compared, so that no single part of it decides.
 const PARTS: usize = 8;
 /// Parts of a bad column or row that must be off in the same direction.
 const LEAST_PARTS: usize = 3;
@@ -40,7 +40,7 @@ const STRIP: usize = 32;
 const LANES: usize = 4;
 /// Most columns, and most rows, that are looked at.
 const MOST_LINES: usize = 16;
-/// Most times that pixels are judged with flux and background of those that are left.
+/// Most times that pixels are compared with the model, with flux and background of those that are left.
 const ROUNDS: usize = 3;
 
 /// The outlier pixels of a prepared image, by kind: what its preparation took out, and what its fit rejected.
@@ -109,7 +109,7 @@ pub(super) fn reject_without_weight(image: &mut PreparedFrame) {
 }
 
 /// Rejects the outlier pixels of `image` under the model with this PSF and the photometry that `photometry` finds for its present weights:
-/// their floor becomes infinite. Pixels that were rejected before are judged again. Returns flux and background without them,
+/// their floor becomes infinite. Pixels that were rejected before are compared again. Returns flux and background without them,
 /// and whether other pixels are rejected than before. Nothing is allocated.
 pub(super) fn reject(
     image: &mut PreparedFrame,
@@ -121,9 +121,9 @@ pub(super) fn reject(
     for _ in 0..ROUNDS {
         let round = image.rejected.checksum();
         image.rejected.restore(&mut image.floor_variance_e2);
-        let judge = Judge { psf, photometry: found };
-        judge.mark_pixels(image);
-        judge.mark_lines(image);
+        let model = FittedModel { psf, photometry: found };
+        model.mark_pixels(image);
+        model.mark_lines(image);
         if image.rejected.checksum() == round {
             break;
         }
@@ -133,13 +133,13 @@ pub(super) fn reject(
     (found, image.rejected.checksum() != before)
 }
 
-/// Model by which pixels are judged.
-struct Judge<'a> {
+/// Model with which pixels are compared.
+struct FittedModel<'a> {
     psf: &'a [f64],
     photometry: (f64, f64),
 }
 
-impl Judge<'_> {
+impl FittedModel<'_> {
     fn expected_e(&self, pixel: usize) -> f64 {
         self.photometry.0 * self.psf[pixel] + self.photometry.1
     }
@@ -169,7 +169,7 @@ impl Judge<'_> {
                 }
             }
         }
-        // Not before all are judged: each is compared with the others.
+        // Not before all were compared: each is compared with the others.
         let PreparedFrame { rejected, floor_variance_e2, .. } = image;
         rejected.pixels().iter().for_each(|&pixel| floor_variance_e2[pixel as usize] = f64::INFINITY);
     }

@@ -53,7 +53,7 @@ fn outliers_are_found_and_predicted() {
     }
 }
 
-/// Two pixels in a hundred, at five times what one can be told from noise by: all are found, and no other.
+/// Two pixels in a hundred, each of 30 standard deviations or more: all are found, and no other.
 #[test]
 fn one_pixel_in_fifty_is_found() {
     let scene = scene(&[]);

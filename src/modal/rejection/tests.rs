@@ -38,8 +38,8 @@ fn weight(electrons: f64) -> f64 {
     1.0 / (electrons.max(0.0) + FLOOR_E2)
 }
 
-/// Such an image judged by the spot, what is rejected, and whether that has changed.
-fn judged(change: impl Fn(usize, usize, &mut f64)) -> (PreparedFrame, RejectedPixels, bool) {
+/// Such an image compared with the spot, what is rejected, and whether that has changed.
+fn rejected_from(change: impl Fn(usize, usize, &mut f64)) -> (PreparedFrame, RejectedPixels, bool) {
     let mut image = image(change);
     let psf: Vec<f64> = (0..SIDE * SIDE).map(|pixel| star_e(pixel) / 2e4).collect();
     let (_, has_changed) = reject(&mut image, &psf, |image| photometry(&image.exposure, &psf));
@@ -49,13 +49,13 @@ fn judged(change: impl Fn(usize, usize, &mut f64)) -> (PreparedFrame, RejectedPi
 
 #[test]
 fn clean_images_lose_no_pixel() {
-    let (_, kinds, has_changed) = judged(|_, _, _| {});
+    let (_, kinds, has_changed) = rejected_from(|_, _, _| {});
     assert!(kinds == RejectedPixels::default() && !has_changed, "{kinds:?}");
 }
 
 #[test]
 fn hot_and_dead_pixels_and_tracks_are_rejected() {
-    let (image, kinds, has_changed) = judged(|x, y, e| match (x, y) {
+    let (image, kinds, has_changed) = rejected_from(|x, y, e| match (x, y) {
         (10, 50) => *e += 200.0,
         (30, 32) => *e = 0.0,
         (40..43, 20) => *e += 3e4,
@@ -87,17 +87,17 @@ fn negative_pixels_keep_weights_above_zero() {
 #[test]
 fn faint_columns_and_rows_are_rejected_and_named() {
     // Five standard deviations of the dark in each pixel, of which none is rejected by itself.
-    let (_, kinds, _) = judged(|x, _, e| *e += if x == 45 { 60.0 } else { 0.0 });
+    let (_, kinds, _) = rejected_from(|x, _, e| *e += if x == 45 { 60.0 } else { 0.0 });
     assert_eq!((kinds.in_lines, kinds.line, kinds.high + kinds.low), (SIDE, [Some(45), None], 0));
     assert_eq!(kinds.kinds(), "64 in column 45");
-    let (_, kinds, _) = judged(|_, y, e| *e -= if y == 7 { 60.0 } else { 0.0 });
+    let (_, kinds, _) = rejected_from(|_, y, e| *e -= if y == 7 { 60.0 } else { 0.0 });
     assert_eq!((kinds.in_lines, kinds.line), (SIDE, [None, Some(7)]));
 }
 
 /// Light that the model lacks is spread over pixels, and stays: the residual is to show it.
 #[test]
 fn companions_stay() {
-    let (_, kinds, _) = judged(|x, y, e| {
+    let (_, kinds, _) = rejected_from(|x, y, e| {
         let square = (x as f64 - 20.3).powi(2) + (y as f64 - 44.6).powi(2);
         *e += 5e3 * (-square / 1.5).exp();
     });
@@ -106,6 +106,6 @@ fn companions_stay() {
 
 #[test]
 fn images_of_another_model_lose_no_pixel() {
-    let (_, kinds, _) = judged(|x, y, e| *e += 3e3 * ((x / 3 + y / 3) % 2) as f64);
+    let (_, kinds, _) = rejected_from(|x, y, e| *e += 3e3 * ((x / 3 + y / 3) % 2) as f64);
     assert_eq!(kinds.total(), 0, "{kinds:?}");
 }
