@@ -258,8 +258,7 @@ impl Preparer {
                 }
             }
         }
-        let spikes = self.spikes.found().len();
-        prepared.taken_out = RejectedPixels { high: spikes, ..RejectedPixels::default() };
+        prepared.taken_out = RejectedPixels { high: self.spikes.found().len(), ..RejectedPixels::default() };
         refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
         let (data, bad) = if is_clean { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
         let sampled = match &mut self.reduction {
@@ -281,8 +280,15 @@ impl Preparer {
         prepared.rejected.begin(floor);
         prepared.bad_pixels = crop(&sampled, self.plan.pixels, floor, prepared);
         if self.reduction.is_none() {
-            // Spikes beyond the fitted part are not of its bad pixels.
-            prepared.bad_pixels = prepared.bad_pixels.saturating_sub(spikes);
+            // Spikes of the fitted part are bad pixels that were not marked.
+            let Preparation { frame, pixels, .. } = self.plan;
+            let shift = prepared.shift_pixels;
+            let is_fitted = |axis: usize, at: usize| {
+                let first = (frame[axis] / 2) as i64 - (pixels / 2) as i64 + shift[axis];
+                (first..first + pixels as i64).contains(&(at as i64))
+            };
+            let fitted = self.spikes.found().iter().filter(|(y, x)| is_fitted(1, *y) && is_fitted(0, *x)).count();
+            prepared.bad_pixels -= fitted;
         }
         if prepared.bad_pixels == prepared.floor_variance_e2.len() {
             return Err(Refusal::NoGoodPixel);

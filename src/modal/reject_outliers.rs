@@ -17,7 +17,8 @@ use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 impl ModalFitter {
-    /// Searches for outlier pixels in those of `frames` that may have some, fits these again without them, and keeps the better fit. Returns the cleaned frames of the fits that were replaced.
+    /// Searches for outlier pixels in those of `frames` that may have some, fits these again without them, and keeps the better fit. Returns
+    /// the cleaned frames of the fits that were replaced.
     ///
     /// # Errors
     /// As [`super::engine::fit`].
