@@ -15,7 +15,7 @@ const RATIO: f64 = 12.0;
 const REACH: usize = 2;
 /// Most times that spikes are looked for after brighter ones were taken out.
 const ROUNDS: usize = 8;
-/// Most spikes of a frame; beyond, it is no frame of a star, and none is found.
+/// Most spikes of a frame; the rest is left to the fit.
 const MOST: usize = 4096;
 
 /// Finds spikes, in memory that is allocated once.
@@ -63,8 +63,7 @@ impl Spikes {
                 let around_e = third_brightest_around(data_e, bad, (y, x)) - level_e;
                 if above_e > RATIO * around_e.max(0.0) + SIGMA * (variance_e2 + around_e.max(0.0)).sqrt() {
                     if self.found.len() == MOST {
-                        self.found.clear();
-                        return 0;
+                        return MOST - before;
                     }
                     self.found.push((y, x));
                 }
@@ -91,14 +90,14 @@ impl Spikes {
             data_e.assign(&original_e);
             bad.assign(&marks);
         }
-        for _ in 0..ROUNDS {
+        for round in 1..=ROUNDS {
             for &(y, x) in &self.found[self.found.len() - found..] {
                 (data_e[(y, x)], bad[(y, x)]) = (0.0, true);
                 let good = data_e.row(y).into_iter().zip(bad.row(y)).filter(|(_, bad)| !**bad);
                 extents[y] = good.fold(Extent::EMPTY, |extent, (&value, _)| extent.with(value));
             }
-            // Without the brightest, fainter ones stand out.
-            found = self.find((data_e.view(), bad.view()), dark, extents);
+            // Without the brightest, fainter ones stand out. All that were found are taken out, also after the last round.
+            found = if round < ROUNDS { self.find((data_e.view(), bad.view()), dark, extents) } else { 0 };
             if found == 0 {
                 break;
             }
@@ -189,5 +188,25 @@ mod tests {
         spikes.fill(&mut frame, &mut bad, 0.0);
         // The others are 500 to 519.
         assert!(track.iter().all(|&at| (500.0..520.0).contains(&frame[at]) && !bad[at]));
+    }
+
+    #[test]
+    fn spikes_that_are_found_are_all_taken_out() {
+        // Each hides the next: more of them than there are rounds.
+        let ladder: Vec<(usize, usize)> = (1..=2 * ROUNDS).map(|rung| (2, 8 * rung)).collect();
+        let frame = Array2::from_shape_fn((8, 8 * (2 * ROUNDS + 1)), |at| {
+            ladder.iter().position(|&rung| rung == at).map_or(0.0, |rung| 1e5 * 30f64.powi((2 * ROUNDS - rung) as i32))
+        });
+        let mut extents: Vec<Extent> =
+            frame.outer_iter().map(|row| Extent::from_row(row.as_slice().unwrap())).collect();
+        let (mut data_e, mut bad) = (Array2::zeros(frame.dim()), Array2::from_elem(frame.dim(), false));
+        let marks = bad.clone();
+        let mut spikes = Spikes::new();
+        let original = Some((frame.view(), marks.view()));
+        assert!(spikes.take_out(original, (&mut data_e, &mut bad), (0.0, 100.0), &mut extents));
+        assert_eq!(spikes.found(), &ladder[..ROUNDS]);
+        let marked: Vec<_> = bad.indexed_iter().filter(|(_, bad)| **bad).map(|(at, _)| at).collect();
+        assert_eq!(spikes.found(), marked);
+        assert_eq!(extents[2].good, frame.ncols() - ROUNDS);
     }
 }
