@@ -23,6 +23,21 @@ pub(super) fn is_keyword(name: &[u8]) -> bool {
         && name.iter().all(|b| b.is_ascii_uppercase() || b.is_ascii_digit() || matches!(b, b'-' | b'_'))
 }
 
+/// What a card of ESO's convention begins with, whose keyword is of several words: `HIERARCH ESO TEL PARANG START = 12.3`.
+pub(super) const HIERARCH: &[u8] = b"HIERARCH ";
+
+/// Whether `name` is a keyword of several words, without [`HIERARCH`].
+pub(super) fn is_hierarchical(name: &str) -> bool {
+    name.contains(' ') && name.split(' ').all(|word| is_keyword(word.as_bytes()))
+}
+
+/// Value and comment of a card with a keyword of several words, where it has that of `name`.
+pub(super) fn hierarchical_value<'a>(card: &'a Bytes, name: &str) -> Option<(&'a str, &'a str)> {
+    let text = std::str::from_utf8(card.strip_prefix(HIERARCH)?).ok()?;
+    let (own, field) = text.split_once('=')?;
+    (own.trim() == name).then(|| split_field(field))
+}
+
 /// The value after `= ` and the comment after `/`, both trimmed; `None` for a card without value.
 ///
 /// A quoted string is returned with its quotes: see [`text`].
@@ -30,14 +45,18 @@ pub(super) fn value_and_comment(card: &Bytes) -> Option<(&str, &str)> {
     if &card[8..10] != b"= " {
         return None;
     }
-    let field = std::str::from_utf8(&card[10..]).ok()?;
+    std::str::from_utf8(&card[10..]).ok().map(split_field)
+}
+
+/// Value and comment of what follows the sign of equality.
+fn split_field(field: &str) -> (&str, &str) {
     let mut quoted = false;
     let slash = field.bytes().position(|byte| {
         quoted ^= byte == b'\'';
         byte == b'/' && !quoted
     });
     let (value, comment) = slash.map_or((field, ""), |at| (&field[..at], &field[at + 1..]));
-    Some((value.trim(), comment.trim()))
+    (value.trim(), comment.trim())
 }
 
 /// The text of a quoted value, without quotes and trailing blanks; other values unchanged.
@@ -96,6 +115,14 @@ mod tests {
         assert_eq!(value_and_comment(&card), Some(("'/a/b''s '", "where / it is")));
         assert_eq!(text("'/a/b''s '"), "/a/b's");
         assert_eq!(value_and_comment(&padded(b"COMMENT no value")), None);
+    }
+
+    #[test]
+    fn keywords_of_several_words_are_read() {
+        let card = padded(b"HIERARCH ESO TEL PARANG START = -12.345 / [deg] Parallactic angle");
+        assert_eq!(hierarchical_value(&card, "ESO TEL PARANG START"), Some(("-12.345", "[deg] Parallactic angle")));
+        assert_eq!(hierarchical_value(&card, "ESO TEL PARANG"), None);
+        assert!(is_hierarchical("ESO DET NDIT") && !is_hierarchical("NDIT") && !is_hierarchical("ESO  DET"));
     }
 
     #[test]

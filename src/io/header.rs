@@ -70,8 +70,13 @@ pub enum PixelUnit {
 
 /// Keywords of each quantity, those that are preferred first, their units, and whether the first unit is that of a bare number.
 const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
-    (Quantity::GainEPerAdu, &["EGAIN", "GAIN"], ELECTRONS, true),
-    (Quantity::ReadNoiseE, &["RON_E", "RON", "RDNOISE", "READNOIS", "ENOISE", READ_NOISE_OF_A_COADD], ELECTRONS, true),
+    (Quantity::GainEPerAdu, &["EGAIN", "GAIN", "ESO DET OUT1 CONAD"], ELECTRONS, true),
+    (
+        Quantity::ReadNoiseE,
+        &["RON_E", "RON", "RDNOISE", "READNOIS", "ENOISE", "ESO DET OUT1 RON", READ_NOISE_OF_A_COADD],
+        ELECTRONS,
+        true,
+    ),
     (
         Quantity::WavelengthNm,
         &["WAVELEN", "WAVELENG", "WAVELNTH", "WAVELTH", "CENWAVE", "CENTWAVE", "EFFWAVE", "LAMBDA"],
@@ -79,7 +84,7 @@ const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
         false,
     ),
     (Quantity::PixelMas, &["PIXSCALE", "PIXSCAL", "PIXSCAL1", "PIXELSCL", "SECPIX", "SECPIX1"], PIXELS, false),
-    (Quantity::ExposureS, &["EXPTIME", "EXPOSURE", "TRUITIME", "ITIME", "TEXP"], SECONDS, true),
+    (Quantity::ExposureS, &["EXPTIME", "EXPOSURE", "TRUITIME", "ITIME", "TEXP", "ESO DET DIT"], SECONDS, true),
     (Quantity::BackgroundE, &["BACKGR_E"], ELECTRONS, true),
 ];
 
@@ -95,7 +100,9 @@ const LEAST_TOLERANCE: f64 = 1e-6;
 const COORDINATES_TOLERANCE: f64 = 0.02;
 
 /// Keywords of the integration time of one coadd, the true one of OSIRIS first: its `ITIME` is in ms.
-pub const COADD_TIMES: [&str; 2] = ["TRUITIME", "ITIME"];
+pub const COADD_TIMES: [&str; 3] = ["TRUITIME", "ITIME", "ESO DET DIT"];
+/// Keyword of the number of integrations that an infrared camera of ESO averages.
+pub const AVERAGED_COADDS: &str = "ESO DET NDIT";
 
 /// What the cards of an image state.
 #[derive(Debug, Default)]

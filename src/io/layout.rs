@@ -59,6 +59,9 @@ impl Hdu {
     /// The value of the first card `key`, with the quotes of a string, and its comment.
     pub fn value_and_comment(&self, key: &str) -> Option<(&str, &str)> {
         let cards = self.header.as_chunks::<CARD>().0;
+        if card::is_hierarchical(key) {
+            return cards.iter().find_map(|found| card::hierarchical_value(found, key));
+        }
         let found = cards.iter().find(|found| card::keyword(found) == key.as_bytes())?;
         card::value_and_comment(found)
     }

@@ -43,7 +43,7 @@ mod write;
 pub use crate::atomic::{abandon as abandon_files, abandon_with, write as write_atomically};
 pub use column::Column;
 pub use extension::{file_of, is_fits};
-pub use header::{COADD_TIMES, HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
+pub use header::{AVERAGED_COADDS, COADD_TIMES, HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 pub use image_hdu::{CHANNEL, Images};
 pub use images::{read_channels, read_images};
 pub use mask::{MOST_MARKED, read_mask};

@@ -11,7 +11,7 @@ use super::cfitsio::{CfitsioResult, Handle};
 use super::extension;
 use super::layout::{self, Hdu, HduKind, Layout};
 use super::standard;
-use super::value::{Card, checked_keyword};
+use super::value::{Card, checked_keyword_to_read};
 use super::{packed, regular};
 use crate::machine;
 use crate::{Error, Result};
@@ -173,8 +173,12 @@ impl FitsReader {
     }
 
     pub(super) fn card_at(&mut self, index: usize, key: &str) -> Result<Option<Card>> {
-        let key = checked_keyword(key)?;
+        let key = checked_keyword_to_read(key)?;
         let Some(value) = self.layout.hdus[index].value(&key).map(str::to_owned) else { return Ok(None) };
+        // No text of several cards has a keyword of several words.
+        if value.starts_with('\'') && key.contains(' ') {
+            return Ok(Some(Card::Text(card::text(&value))));
+        }
         if value.starts_with('\'') {
             let name = CString::new(key).map_err(|error| Error::Internal(error.to_string()))?;
             self.move_to(index)?;

@@ -101,3 +101,13 @@ pub(super) fn checked_keyword(key: &str) -> Result<String> {
     }
     Err(Error::Value(format!("`{key}` is not a FITS keyword: 1 to 8 of A-Z, 0-9, - and _ are accepted")))
 }
+
+/// As [`checked_keyword`], for a card that is read, whose keyword may be of several words (HIERARCH).
+///
+/// # Errors
+/// As [`checked_keyword`].
+pub(super) fn checked_keyword_to_read(key: &str) -> Result<String> {
+    let upper = key.to_ascii_uppercase();
+    let words = upper.strip_prefix("HIERARCH ").unwrap_or(&upper);
+    if card::is_hierarchical(words) { Ok(words.to_owned()) } else { checked_keyword(key) }
+}

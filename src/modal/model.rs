@@ -91,6 +91,7 @@ impl Model {
         set: ModeSet,
     ) -> Result<Self> {
         scene.refuse_channels("a model and its sessions")?;
+        refuse_turns(scene, &telescope)?;
         let pixels = PixelPlan::new(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
         if let Some(samples) = scene.estimate.samples.filter(|&samples| !band_limited && samples != scene.pupil.samples)
@@ -180,6 +181,27 @@ impl Model {
         });
         map
     }
+}
+
+/// Refuses turns of the pupil that `telescope` does not have.
+///
+/// # Errors
+/// [`Error::Scene`].
+fn refuse_turns(scene: &Scene, telescope: &Telescope) -> Result<()> {
+    let Some(turn_deg) = scene.image.pupil_turn_deg() else {
+        return Err(Error::Scene(format!(
+            "{}: image.pupil_turns_deg has one number for each image, and a model, its sessions and the watch have one turn of the pupil: a list of \
+             one is needed there; 'cophase estimate' and pipeline::Estimator take one for each image",
+            scene.name()
+        )));
+    };
+    if turn_deg != telescope.turn_deg() {
+        return Err(Error::Scene(format!(
+            "{}: image.pupil_turns_deg = [{turn_deg}] is not accepted for a pupil that is given as an array: turn the array",
+            scene.name()
+        )));
+    }
+    Ok(())
 }
 
 /// Coordinates of each entry on its segment, in units of the segment's RMS.

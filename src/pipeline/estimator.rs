@@ -9,6 +9,7 @@ use super::images::{Images, TruthMaps, counted};
 use super::modal_task::ModalTask;
 use super::parts::PartFits;
 use super::policy::Policy;
+use super::pupil_turns::TurnedImages;
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{channel_sequence, channels, map, modal};
@@ -107,6 +108,9 @@ impl Estimator {
     /// [`Estimator::estimate`], with the fits of parts.
     fn estimate_one(&self, images: &Images, parts: Option<&mut PartFits>) -> Result<Estimate> {
         self.begin(images)?;
+        if let Some(turned) = TurnedImages::of(&self.given, &[images])? {
+            return self.estimate_turned(turned, parts, images);
+        }
         let (cut_images, cut) = images.without_odd_edge(self.given.image.fitted_shape());
         let Ready { scene, images: electrons, cache, notes, remarks } = self.ready(&cut_images)?;
         let (policy, control) = (&self.policy, &self.control);
@@ -174,6 +178,9 @@ impl Estimator {
             return self.estimate_one(only, parts);
         }
         let images = self.begin_channels(images)?;
+        if let Some(turned) = TurnedImages::of(&self.given, &images)? {
+            return self.estimate_turned(turned, parts, images[0]);
+        }
         let cut = self.cut_channels(&images);
         let ReadyChannels { scene, channels: ready, notes, remarks } = self.ready_channels(&images, &cut)?;
         let (policy, control) = (&self.policy, &self.control);
@@ -191,6 +198,14 @@ impl Estimator {
         estimate.warnings.splice(0..0, notes);
         estimate.remarks.splice(0..0, remarks);
         compare_with_truth(&mut estimate, images.first().and_then(|images| images.truth.as_ref()));
+        Ok(estimate)
+    }
+
+    /// The estimate of images of different turns of the pupil, the `first` of which have the truth.
+    fn estimate_turned(&self, turned: TurnedImages, parts: Option<&mut PartFits>, first: &Images) -> Result<Estimate> {
+        let found = self.variant(&turned.scene)?.estimate_each(&turned.images, parts)?;
+        let mut estimate = turned.in_given_order(found, &self.scene);
+        compare_with_truth(&mut estimate, first.truth.as_ref());
         Ok(estimate)
     }
 

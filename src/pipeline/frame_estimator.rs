@@ -118,7 +118,7 @@ impl FrameEstimator {
                     )));
                 }
                 images.check()?;
-                let frame = images.frame(number);
+                let frame = images.selected(&[number]);
                 let (frame, _) = frame.without_odd_edge(self.scene.image.fitted_shape());
                 fit(&self.scene, &self.fitter, sessions, &frame)
             }

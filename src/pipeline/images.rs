@@ -234,14 +234,13 @@ impl Images {
         self.len() == 0
     }
 
-    /// Image `number` alone, which is there.
-    pub(super) fn frame(&self, number: usize) -> Self {
-        let part = number..number + 1;
-        let row = |slopes: &Array2<f64>| slopes.slice(s![part.clone(), ..]).to_owned();
+    /// These of the images alone, by their numbers from 0, which are there.
+    pub(super) fn selected(&self, which: &[usize]) -> Self {
+        let has_all = |slopes: &&Array2<f64>| which.iter().all(|number| *number < slopes.nrows());
         Self {
-            images_e: self.images_e.slice(s![part.clone(), .., ..]).to_owned(),
-            bad: self.bad.slice(s![part.clone(), .., ..]).to_owned(),
-            slopes_mas: self.slopes_mas.as_ref().filter(|slopes| number < slopes.nrows()).map(row),
+            images_e: self.images_e.select(Axis(0), which),
+            bad: self.bad.select(Axis(0), which),
+            slopes_mas: self.slopes_mas.as_ref().filter(has_all).map(|slopes| slopes.select(Axis(0), which)),
             moved_reference_mas: self.moved_reference_mas.clone(),
             read_noise_e: self.read_noise_e,
             truth: self.truth.clone(),

@@ -39,6 +39,7 @@ mod outcome;
 mod parts;
 mod piston_table;
 mod policy;
+mod pupil_turns;
 mod remarks;
 mod report;
 mod residual_shape;

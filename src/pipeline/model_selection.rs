@@ -85,7 +85,7 @@ impl Extension {
     fn is_in(self, scene: &Scene) -> bool {
         let has_geometry = scene.pupil.extent_m().is_some();
         match self {
-            Self::SegmentTilts => scene.modes.segment != SegmentModes::Piston,
+            Self::SegmentTilts => scene.modes.segment != SegmentModes::Piston || scene.image.is_pupil_turned(),
             Self::ZernikesTo(wanted) => {
                 matches!(scene.modes.exact_zernikes, Some(NollRange::Span { last, .. }) if last >= wanted)
             }

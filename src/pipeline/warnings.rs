@@ -164,8 +164,8 @@ fn changing_warning(found: &modal::ModalEstimate, changes: Option<f64>) -> Optio
     }
     Some(format!(
         "the images change from one to the next by {:.1} times their noise, and static modes leave {:.1} times the noise in the \
-         typical one: a wavefront that changes, as behind adaptive optics; estimate.method = \"full-phase\" (--method full-phase) \
-         reads such images, these maps include what changed and did not average out",
+         typical one: a wavefront that changes, as behind adaptive optics, which estimate.method = \"full-phase\" (--method full-phase) reads, \
+         or a pupil that turns (image.pupil_turns_deg has its turn in each image); these maps include what changed and did not average out",
         changes.sqrt(),
         found.reduced_chi2().sqrt()
     ))

@@ -47,7 +47,7 @@ pub fn first_scene(path: &Path) -> Result<String> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let system = is_aot.then(|| aot_scene::sections(&mut file, &name)).transpose()?;
     let mut cards = Cards { file: &mut file, hdu: images.hdu_name };
-    let header = cards.header(images.unit, images.facts);
+    let header = cards.header(images.unit, images.facts, None);
     let instrument = ["CURRINST", "INSTRUME"].iter().find_map(|key| cards.text(key)).unwrap_or_default();
     let camera = cards.text("CAMNAME").unwrap_or_default();
     let (telescope, pupil, others, grid_m) = match system {

@@ -23,8 +23,10 @@ pub struct ChannelRule {
 pub struct FrameHeader {
     /// Integration time of one coadd, s.
     pub itime_s: Option<f64>,
-    /// Coadded exposures, whose counts are summed.
+    /// Coadded exposures.
     pub coadds: u32,
+    /// Whether the header says that their counts are averaged, where others are summed.
+    pub has_averaged_coadds: bool,
     /// Read mode, as `SAMPMODE/MULTISAM`; empty where no card says it.
     pub read_mode: String,
     /// Name of the filter.
@@ -35,7 +37,14 @@ pub struct FrameHeader {
     pub unit: PixelUnit,
     /// What other cards state of the instrument.
     pub facts: Vec<HeaderFact>,
+    /// Angle in the card that the caller names for the turn of the pupil, degrees.
+    pub pupil_angle_deg: Option<f64>,
+    /// Cards that may have the angle of the pupil on the detector, with their numbers, degrees.
+    pub angles_deg: Vec<(&'static str, f64)>,
 }
+
+/// Cards with which the pupil may turn on the detector: parallactic angle, and rotators.
+const ANGLES: [&str; 6] = ["PARANG", "PARANTEL", "ROTPOSN", "ROTPPOSN", "ROTANGLE", "ESO TEL PARANG START"];
 
 /// Raw frame of a detector.
 #[derive(Debug, Clone)]
@@ -63,11 +72,17 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Reads `path`: one frame, or those of a cube. `class` is theirs, whatever the header says; `None` for the header's.
+    /// Reads `path`: one frame, or those of a cube. `class` is theirs, whatever the header says; `None` for the header's. The card `turn_card`
+    /// has the angle of the pupil.
     ///
     /// # Errors
     /// Those of [`io::read_images`]; [`Error::File`] for a file that a reduction wrote.
-    pub fn read(path: &Path, class: Option<FrameClass>, rules: &[ChannelRule]) -> Result<Vec<Self>> {
+    pub fn read(
+        path: &Path,
+        class: Option<FrameClass>,
+        rules: &[ChannelRule],
+        turn_card: Option<&str>,
+    ) -> Result<Vec<Self>> {
         let mut file = FitsReader::open(path)?;
         if file.has("REDUCTION") {
             return Err(Error::file(path, "was written by a reduction: raw frames are needed"));
@@ -79,7 +94,7 @@ impl Frame {
             Some(class) => (class, String::from("named on the command line")),
             None => cards.class(),
         };
-        let header = cards.header(images.unit, images.facts);
+        let header = cards.header(images.unit, images.facts, turn_card);
         let file_name = file_name(path);
         let is_of = |rule: &&ChannelRule, cards: &mut Cards| match &rule.card {
             None => rule.pattern.matches(&file_name),
@@ -179,9 +194,11 @@ impl Cards<'_> {
         self.text(key).is_some_and(|text| pattern.matches(&text))
     }
 
-    pub(super) fn header(&mut self, unit: PixelUnit, facts: Vec<HeaderFact>) -> FrameHeader {
-        let coadds =
-            self.number("COADDS").filter(|coadds| (1.0..=1e6).contains(coadds)).map_or(1, |coadds| coadds as u32);
+    pub(super) fn header(&mut self, unit: PixelUnit, facts: Vec<HeaderFact>, turn_card: Option<&str>) -> FrameHeader {
+        let mut count = |key: &str| self.number(key).filter(|coadds| (1.0..=1e6).contains(coadds));
+        let summed = count("COADDS");
+        let averaged = if summed.is_none() { count(io::AVERAGED_COADDS) } else { None };
+        let coadds = summed.or(averaged).map_or(1, |coadds| coadds as u32);
         let exposure = |keyword: &str| {
             let fact = facts.iter().find(|fact| fact.quantity == Quantity::ExposureS && fact.keyword == keyword);
             fact.and_then(|fact| fact.values.first().copied())
@@ -195,6 +212,19 @@ impl Cards<'_> {
         let filter = ["FILTER", "FILTNAME", "FILTNAM", "FILTER1"].iter().find_map(|key| self.text(key));
         let saturation_adu = ["SATURATE", "SATURATN", "SATLEVEL", "SATUR"].iter().find_map(|key| self.number(key));
         let saturation_adu = saturation_adu.filter(|counts| *counts > 0.0);
-        FrameHeader { itime_s, coadds, read_mode, filter, saturation_adu, unit, facts }
+        let pupil_angle_deg = turn_card.and_then(|card| self.number(card));
+        let angles_deg = ANGLES.into_iter().filter_map(|card| Some((card, self.number(card)?))).collect();
+        FrameHeader {
+            itime_s,
+            coadds,
+            has_averaged_coadds: averaged.is_some(),
+            read_mode,
+            filter,
+            saturation_adu,
+            unit,
+            facts,
+            pupil_angle_deg,
+            angles_deg,
+        }
     }
 }

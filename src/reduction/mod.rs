@@ -26,6 +26,7 @@ mod frame;
 mod log;
 mod masters;
 mod noise;
+mod pupil_turns;
 mod read;
 mod reduce;
 mod reduced;

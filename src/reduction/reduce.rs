@@ -7,6 +7,7 @@ use super::found::{self, Found};
 use super::frame::Frame;
 use super::log::LogRow;
 use super::noise::{NoiseTerms, scatter};
+use super::pupil_turns;
 use super::reduced::{ReducedChannel, Reduction};
 use super::{masters, sky};
 use crate::io::Quantity;
@@ -30,8 +31,10 @@ struct Image {
 /// [`Error::Image`] where no frame of the star is left, or one of a channel; for counts without a gain or with two; for frames of another
 /// shape than the mask; [`Error::Value`] where the memory does not hold the frames.
 pub fn reduce(scene: &Scene, frames: &[Frame], options: &ReductionOptions) -> Result<Reduction> {
-    if scene.image.coadds_are_averaged {
-        let summed: Vec<Frame> = frames.iter().map(Frame::with_summed_coadds).collect();
+    let is_averaged = |frame: &Frame| scene.image.coadds_are_averaged || frame.header.has_averaged_coadds;
+    if frames.iter().any(is_averaged) {
+        let summed = |frame: &Frame| if is_averaged(frame) { frame.with_summed_coadds() } else { frame.clone() };
+        let summed: Vec<Frame> = frames.iter().map(summed).collect();
         return Reducer::new(scene, &summed, options)?.run();
     }
     Reducer::new(scene, frames, options)?.run()
@@ -83,7 +86,7 @@ impl<'a> Reducer<'a> {
                 continue;
             }
             match frame.class {
-                FrameClass::Star => match channel_of(frame, self.scene, &self.options.overrides) {
+                FrameClass::Star => match self.channel_of(frame) {
                     Ok(channel) => groups[channel].push(self.calibrate(index, channel)?),
                     Err(reason) => self.rows[index].reject(reason),
                 },
@@ -107,6 +110,12 @@ impl<'a> Reducer<'a> {
         let (bad_pixels, steps) = (self.calibration.bad_pixels(), self.steps(&skies));
         let remarks = said_once(self.frames, |frame| &frame.remarks);
         Ok(Reduction { channels, log: self.rows, warnings: self.calibration.warnings, remarks, bad_pixels, steps })
+    }
+
+    /// Channel of a frame, or the reason why it is of none.
+    fn channel_of(&self, frame: &Frame) -> std::result::Result<usize, String> {
+        let channel = channel_of(frame, self.scene, &self.options.overrides)?;
+        pupil_turns::check(frame, self.scene_of(channel)).map(|()| channel)
     }
 
     /// Scene of a channel.
@@ -135,7 +144,7 @@ impl<'a> Reducer<'a> {
         for image in &images {
             self.rows[image.index].accept("star");
         }
-        self.assemble(name, &images)
+        self.assemble(name, scene, &images)
     }
 
     /// Cuts the image of the star out; `None`, with the reason in the log, for a frame that is rejected.
@@ -194,7 +203,7 @@ impl<'a> Reducer<'a> {
     }
 
     /// The cube of a channel.
-    fn assemble(&mut self, name: Option<String>, images: &[Image]) -> Result<ReducedChannel> {
+    fn assemble(&mut self, name: Option<String>, scene: &Scene, images: &[Image]) -> Result<ReducedChannel> {
         let Some(first) = images.first() else { return Err(self.nothing_left(name.as_deref())) };
         let views: Vec<_> = images.iter().map(|image| image.electrons.view()).collect();
         let images_e = stack(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?;
@@ -223,7 +232,19 @@ impl<'a> Reducer<'a> {
         let wavelengths = header.facts.iter().filter(|fact| fact.quantity == Quantity::WavelengthNm);
         let wavelengths_nm = wavelengths.filter_map(|fact| Some((fact.keyword, *fact.values.first()?))).collect();
         let (noise_e, stated_read_noise_e) = (mean.sqrt(), first.stated_read_noise_e);
-        Ok(ReducedChannel { name, images_e, bad, noise_e, stated_read_noise_e, exposure, wavelengths_nm })
+        let frames = images.iter().map(|image| &self.frames[image.index]);
+        let pupil_turns_deg = pupil_turns::turns_deg(scene, frames.clone());
+        self.calibration.warnings.extend(pupil_turns::unnamed_turn(scene, frames));
+        Ok(ReducedChannel {
+            name,
+            images_e,
+            bad,
+            noise_e,
+            stated_read_noise_e,
+            exposure,
+            wavelengths_nm,
+            pupil_turns_deg,
+        })
     }
 
     /// The error of a channel without images, with the reasons of the first frames.

@@ -20,6 +20,8 @@ pub struct ReducedChannel {
     pub exposure: Option<(f64, u32)>,
     /// Wavelengths that the header of the first image states: keyword and nm.
     pub wavelengths_nm: Vec<(&'static str, f64)>,
+    /// Turn of the pupil in each image, degrees, where the scene names its card.
+    pub pupil_turns_deg: Option<Vec<f64>>,
 }
 
 /// Reduced images with the log of the frames.

@@ -9,11 +9,12 @@ use std::path::Path;
 
 impl Reduction {
     /// Writes the images of each channel (`IMAGES`, electrons, with `EXTVER` 1, 2, ... and the card `CHANNEL`) and their bad pixels
-    /// (`BADPIX`), the log (table `REDUCTION`) and the scene (table `SCENE`). The write is atomic.
+    /// (`BADPIX`), the log (table `REDUCTION`) and the scene (table `SCENE`), with the turns of the pupil. The write is atomic.
     ///
     /// # Errors
-    /// [`crate::Error::File`] if the file cannot be written.
+    /// [`crate::Error::File`] if the file cannot be written; [`crate::Error::Scene`] for a scene whose pupil cannot turn.
     pub fn write(&self, path: &Path, scene: &Scene) -> Result<()> {
+        let scene = &self.with_turns(scene)?;
         let mut file = FitsWriter::create(path)?;
         for (number, channel) in self.channels.iter().enumerate() {
             write_channel(&mut file, number, channel)?;
@@ -21,6 +22,17 @@ impl Reduction {
         log::write(&mut file, &self.log)?;
         file.text("SCENE", scene.text())?;
         file.finish()
+    }
+
+    /// `scene` with the turns of the pupil in the images of each channel.
+    fn with_turns(&self, scene: &Scene) -> Result<Scene> {
+        let settings = self.channels.iter().filter_map(|channel| {
+            let of = channel.name.as_ref().map(|name| format!("channel.{name}.")).unwrap_or_default();
+            Some((format!("image.{of}pupil_turns_deg"), format!("{:?}", channel.pupil_turns_deg.as_ref()?)))
+        });
+        let settings: Vec<(String, String)> = settings.collect();
+        let settings: Vec<(&str, &str)> = settings.iter().map(|(key, turns)| (key.as_str(), turns.as_str())).collect();
+        if settings.is_empty() { Ok(scene.clone()) } else { scene.with(&settings) }
     }
 }
 

@@ -9,7 +9,7 @@ use super::telescope::ImageScene;
 use super::value::{FromToml, between};
 use crate::{Error, Result};
 use std::fmt::Display;
-use toml_edit::{Document, DocumentMut, Item, Table, TableLike, Value};
+use toml_edit::{Array, ArrayOfTables, Document, DocumentMut, Item, Table, TableLike, Value};
 
 /// Name of the list of channels in `[image]`.
 pub(super) const LIST: &str = "channel";
@@ -20,7 +20,7 @@ const SHARED: [&str; 1] = ["simultaneous"];
 /// What a setting of a channel's key begins with, as in `image.channel.plus.peak_snr`.
 pub(super) const PREFIX: &str = "image.channel.";
 /// Most channels of a scene. Through-focus sets have up to some ten.
-const MAX_CHANNELS: usize = 64;
+pub(super) const MAX_CHANNELS: usize = 64;
 /// Longest name, in characters: a card of a FITS file holds it.
 const LONGEST_NAME: usize = 40;
 
@@ -157,6 +157,36 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
     }
 }
 
+/// Replaces each channel of the text of a scene, or the only way of imaging of one without channels, by a channel for each of its turns of
+/// the pupil: a name and degrees.
+///
+/// # Errors
+/// [`Error::Internal`] for a scene with another number of channels.
+pub(super) fn set_turns(document: &mut DocumentMut, turns: &[Vec<(String, f64)>]) -> Result<()> {
+    let internal = |what: &str| Error::Internal(format!("turns of the pupil: {what}"));
+    let image = document.get_mut("image").and_then(Item::as_table_like_mut).ok_or_else(|| internal("no [image]"))?;
+    let given = match image.remove(LIST) {
+        Some(list) => list.into_array_of_tables().map_err(|_| internal("no list of channels"))?.into_iter().collect(),
+        None => vec![Table::new()],
+    };
+    if given.len() != turns.len() {
+        return Err(internal("another number of channels"));
+    }
+    let mut list = ArrayOfTables::new();
+    for (table, turns) in given.iter().zip(turns) {
+        for (name, turn_deg) in turns {
+            let mut own = table.clone();
+            own.insert(NAME, Item::Value(Value::from(name)));
+            own.insert(TURNS, Item::Value(Value::from(Array::from_iter([*turn_deg]))));
+            list.push(own);
+        }
+    }
+    image.insert(LIST, Item::ArrayOfTables(list));
+    Ok(())
+}
+
+/// Key of the turns of the pupil.
+const TURNS: &str = "pupil_turns_deg";
 const SAMPLING: &str = forms::SAMPLING[0];
 /// Keys of which a scene may name one: a channel that names one of them replaces all.
 const ALTERNATIVES: [&[&str]; 5] = [

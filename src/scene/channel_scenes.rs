@@ -5,7 +5,7 @@ use super::table::Source;
 use super::{Channel, Scene};
 use crate::{Error, Result};
 use std::path::Path;
-use toml_edit::Document;
+use toml_edit::{Document, DocumentMut};
 
 impl Scene {
     /// The channels, in order; none for a scene with one way of imaging.
@@ -28,6 +28,23 @@ impl Scene {
                 channels.len()
             ))),
         }
+    }
+
+    /// Most channels of a scene.
+    pub(crate) const MAX_CHANNELS: usize = channel::MAX_CHANNELS;
+
+    /// This scene with a channel for each turn of the pupil, by name and degrees, in place of each of its channels, or of its only way of
+    /// imaging.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for names and turns that channels cannot have.
+    pub(crate) fn with_turns(&self, turns: &[Vec<(String, f64)>]) -> Result<Self> {
+        let mut document: DocumentMut = self
+            .text()
+            .parse()
+            .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
+        channel::set_turns(&mut document, turns)?;
+        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), &[])
     }
 
     /// The scenes of the channels in the text of a scene; none where it lists no channels.

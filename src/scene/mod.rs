@@ -375,7 +375,48 @@ impl Sections {
             let sentence = "control.reconstructor = \"sparse\" is not accepted where wavefront_sensor.kind = \"pyramid\", whose slopes depend on the whole wavefront; \"dense\" is needed";
             return Err(reader("control").error("reconstructor", sentence));
         }
+        if self.image.is_pupil_turned() {
+            self.check_turns().map_err(|sentence| reader("image").error("pupil_turns_deg", sentence))?;
+        }
         Ok(())
+    }
+
+    /// Why the pupil cannot turn as the scene says.
+    fn check_turns(&self) -> std::result::Result<(), String> {
+        if let Some(hindrance) = self.hindrance_of_turns() {
+            return Err(format!("image.pupil_turns_deg is not accepted with {hindrance}"));
+        }
+        let turns_deg = self.image.pupil_turns_deg.iter().flatten();
+        let widths_m = turns_deg.filter_map(|turn_deg| self.pupil.turned_by(*turn_deg).extent_m());
+        let needed_m = widths_m.fold(0.0, f64::max);
+        match self.pupil.grid_m.or(self.pupil.extent_m()) {
+            Some(grid_m) if grid_m * (1.0 + 1e-9) < needed_m => Err(format!(
+                "image.pupil_turns_deg turns the pupil beyond its grid of {grid_m:.4} m; pupil.grid_m of {needed_m:.4} or more is needed (λ/D in \
+                 other keys means λ/grid_m)"
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// What in the scene does not go with a pupil that turns, and what does.
+    fn hindrance_of_turns(&self) -> Option<&'static str> {
+        let has_petals = self.modes.petals != SegmentModes::None
+            || self.aberrations.as_ref().is_some_and(AberrationScene::has_petals);
+        let has_loop = self.wavefront_sensor.is_some() || !self.turbulence.fractions.is_empty();
+        [
+            (matches!(self.pupil.aperture, Aperture::File(_)), "a pupil from a file; hexagons or discs are needed"),
+            (self.pupil.model == Some(PupilModel::Hard), "pupil.model = \"hard\"; \"band-limited\" is needed"),
+            (
+                self.modes.segment == SegmentModes::PistonTipTilt,
+                "modes.segment = \"piston-tip-tilt\"; \"piston\" is needed",
+            ),
+            (matches!(self.modes.ncpa, NcpaBasis::File(_)), "modes.ncpa from a file; \"kl\" or \"zernike\" is needed"),
+            (has_petals, "petals, of which the scene must have none"),
+            (has_loop, "adaptive optics or turbulence: images of one static wavefront are needed"),
+            (self.estimate.method == Method::FullPhase, "estimate.method = \"full-phase\"; \"modal\" is needed"),
+        ]
+        .into_iter()
+        .find_map(|(is_there, what)| is_there.then_some(what))
     }
 }
 

@@ -83,6 +83,11 @@ impl PupilScene {
         })
     }
 
+    /// This pupil turned by an angle, counter-clockwise.
+    pub(super) fn turned_by(&self, turn_deg: f64) -> Self {
+        Self { rotation_deg: self.rotation_deg + turn_deg, ..self.clone() }
+    }
+
     /// Whether the segments are discs.
     pub fn is_round(&self) -> bool {
         self.aperture == Aperture::Round

@@ -91,6 +91,14 @@ section! {
         flip_x: bool, ANY, default(false);
         /// Whether the detector's rows run opposite to +y. Estimate only.
         flip_y: bool, ANY, default(false);
+        /// Turn of the pupil on the detector beyond pupil.rotation_deg, one for each image in order or one for all, counter-clockwise:
+        /// segments and spider turn with it, NCPA and diversity do not.
+        pupil_turns_deg: Option<Vec<f64>>, between(-360.0, 360.0), unset("that of the file that 'cophase reduce' wrote, where pupil_turn_card is named; else the pupil does not turn");
+        /// Card of the raw frames with the angle of the pupil on the detector, counter-clockwise, in degrees; -CARD for a clockwise one. Read by 'cophase
+        /// reduce', which writes pupil_turns_deg.
+        pupil_turn_card: Option<String>, ANY, unset("the pupil does not turn");
+        /// Value of pupil_turn_card where the pupil stands as pupil.rotation_deg says, in degrees.
+        pupil_turn_zero_deg: f64, between(-360.0, 360.0), default(0.0);
         /// Whether exposures of all channels with one number are of one wavefront (a beam splitter, with one count, exposure_s and
         /// interval_s); otherwise channels are exposed one after the other and share its static part only. Read by AO simulations and
         /// full-phase estimates.
@@ -102,6 +110,20 @@ impl ImageScene {
     /// Read noise of a pixel of simulated images, RMS electrons: none where the scene does not name it.
     pub fn simulated_read_noise_e(&self) -> f64 {
         self.read_noise_e.unwrap_or(0.0)
+    }
+
+    /// Turn of the pupil in all images beyond `pupil.rotation_deg`, degrees; `None` where images have turns of their own.
+    pub fn pupil_turn_deg(&self) -> Option<f64> {
+        match self.pupil_turns_deg.as_deref() {
+            None => Some(0.0),
+            Some([turn_deg]) => Some(*turn_deg),
+            Some(_) => None,
+        }
+    }
+
+    /// Whether the pupil of an image is turned.
+    pub fn is_pupil_turned(&self) -> bool {
+        self.pupil_turns_deg.iter().flatten().any(|turn_deg| *turn_deg != 0.0)
     }
 
     /// The other form of the sampling that the scene names, and its value. A pixel is inversely proportional to the sampling.
@@ -188,6 +210,10 @@ impl Check for ImageScene {
         if self.diversity_file.is_some() {
             self.diversity_focus_waves_rms = 0.0;
         }
+        if self.pupil_turns_deg.as_ref().is_some_and(Vec::is_empty) {
+            let sentence = "image.pupil_turns_deg = [] is not accepted; one number, or one for each image, is needed";
+            return Err(reader.error("pupil_turns_deg", sentence));
+        }
         let (pixels, exposure_s, interval_s) = (self.pixels, self.exposure_s, self.interval_s);
         for (key, value) in [("columns", self.columns), ("rows", self.rows)] {
             if let Some(value) = value.filter(|&value| value > pixels) {
@@ -251,6 +277,13 @@ section! {
         truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 times pupil.samples, or the samples of pupil.file");
         /// Seed of the aberrations, and of the noise of an artificial source's images.
         seed: u64, at_least(0.0), default(1u64);
+    }
+}
+
+impl AberrationScene {
+    /// Whether the petals have aberrations of their own.
+    pub(super) fn has_petals(&self) -> bool {
+        self.petal_piston_rms_nm > 0.0 || self.petal_tip_tilt_rms_nm > 0.0 || self.petal_coefficients_nm.is_some()
     }
 }
 

@@ -115,7 +115,7 @@ impl<'a> Camera<'a> {
             let (mut re, mut im) = (0.0, 0.0);
             for (&segment, weight) in segments.iter().zip(weights) {
                 let (sin, cos) = if truth.tilts_segments() {
-                    let (x, y) = self.at(flat);
+                    let (x, y) = self.telescope.on_mirror(self.at(flat));
                     phasor(truth.segment_nm(&self.telescope.pupil, segment as usize, x, y))
                 } else {
                     pistons[segment as usize]

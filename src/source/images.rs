@@ -6,7 +6,7 @@ use super::truth::Truth;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::Array3;
+use ndarray::{Array2, Array3};
 
 /// Random number streams from one channel to the next: more than it has images. Those of the images begin at 1 above a multiple of it.
 const CHANNEL_STREAMS: u64 = 1 << 32;
@@ -69,14 +69,34 @@ fn simulate_channel(scene: &Scene, number: u64, change: &ChangeOfTruth) -> Resul
     let telescope = Telescope::new(scene)?;
     let seed = scene.seed();
     let truth = change(Truth::draw(scene, &telescope, &mut stream(seed, 0))?, scene, &telescope)?;
-    let camera = Camera::new(scene, &telescope)?;
-    let psf = camera.psf(&truth)?;
-    let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
+    let turns_deg = match scene.image.pupil_turns_deg.as_deref() {
+        Some(turns_deg) if turns_deg.len() != 1 && turns_deg.len() != scene.image.count => {
+            return Err(Error::Scene(format!(
+                "{}: image.pupil_turns_deg has {} numbers where image.count = {}; one, or one for each image, is needed",
+                scene.name(),
+                turns_deg.len(),
+                scene.image.count
+            )));
+        }
+        Some(turns_deg @ [_, _, ..]) => turns_deg,
+        _ => &[],
+    };
+    let mut psf = psf_of(scene, &telescope, &truth)?;
     let (rows, columns) = psf.dim();
     let mut images_e = Array3::zeros((scene.image.count, rows, columns));
+    let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
     for (image, mut out) in images_e.outer_iter_mut().enumerate() {
+        if let Some(turn_deg) = turns_deg.get(image) {
+            let own = scene.with(&[("image.pupil_turns_deg", &format!("[{turn_deg}]"))])?;
+            psf = psf_of(&own, &Telescope::new(&own)?, &truth)?;
+        }
         let mut rng = stream(seed, number * CHANNEL_STREAMS + 1 + image as u64);
         out.zip_mut_with(&psf, |out, &h| *out = expose(&scene.image, h, flux_e, &mut rng));
     }
     Ok(SourceImages { images_e, flux_e, truth })
+}
+
+/// The PSF of `scene` with these aberrations.
+fn psf_of(scene: &Scene, telescope: &Telescope, truth: &Truth) -> Result<Array2<f64>> {
+    Camera::new(scene, telescope)?.psf(truth)
 }

@@ -29,9 +29,11 @@ enum PupilSource {
 /// Telescope of a scene, on the scene's grid.
 #[derive(Debug, Clone)]
 pub struct Telescope {
-    /// Pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported.
+    /// Pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported, without a turn.
     pub pupil: Pupil,
     source: PupilSource,
+    /// Turn of the pupil in the images, degrees, and the turned geometry; `None` where they show the pupil as it is.
+    turned: Option<(f64, Aperture)>,
     /// Amplitude that each segment reflects, relative to the mean; empty if all are equal.
     amplitudes: Vec<f64>,
     /// Slopes along x and y and the rise to the edge of the illumination; `None` for an even one.
@@ -61,7 +63,7 @@ impl Telescope {
             return Self::from_file(scene, &scene.resolve(file));
         }
         let pupil = &scene.pupil;
-        let aperture = Aperture::hexagonal(&HexagonalParameters {
+        let parameters = HexagonalParameters {
             rings: pupil.rings,
             is_round: pupil.is_round(),
             segment_side_m: pupil.segment_side_m,
@@ -74,11 +76,19 @@ impl Telescope {
             spider_angles_deg: if pupil.spider_width_m > 0.0 { pupil.spider_angles_deg.clone() } else { Vec::new() },
             spider_vanes_deg: pupil.spider_vanes_deg.clone().unwrap_or_default(),
             rotation_deg: pupil.rotation_deg,
-        })?;
+        };
+        let aperture = Aperture::hexagonal(&parameters)?;
+        let turned = |turn_deg: f64| {
+            let rotation_deg = pupil.rotation_deg + turn_deg;
+            Aperture::hexagonal(&HexagonalParameters { rotation_deg, ..parameters.clone() })
+                .map(|turned| (turn_deg, turned))
+        };
+        let turn_deg = scene.image.pupil_turn_deg().filter(|turn_deg| *turn_deg != 0.0);
         let grid = Grid::new(pupil.samples, pupil.grid_m.unwrap_or(aperture.width_m()))?;
         Ok(Self {
             pupil: aperture.pupil(&grid)?,
             source: PupilSource::Exact(aperture),
+            turned: turn_deg.map(turned).transpose()?,
             amplitudes: Vec::new(),
             illumination: None,
             moments: Arc::default(),
@@ -113,7 +123,7 @@ impl Telescope {
         let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels)?;
         let pupil = binned(&fine, Grid::new(samples, width_m)?)?;
         let (source, moments) = (PupilSource::Fine(fine), Arc::default());
-        Ok(Self { pupil, source, amplitudes: Vec::new(), illumination, moments })
+        Ok(Self { pupil, source, turned: None, amplitudes: Vec::new(), illumination, moments })
     }
 
     /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
@@ -124,7 +134,7 @@ impl Telescope {
         let grid = Grid::new(even_side(&amplitude)?, width_m)?;
         let pupil = Pupil::from_maps(grid, amplitude, labels)?;
         let (source, moments) = (PupilSource::Coarse, Arc::default());
-        Ok(Self { pupil, source, amplitudes: Vec::new(), illumination: None, moments })
+        Ok(Self { pupil, source, turned: None, amplitudes: Vec::new(), illumination: None, moments })
     }
 
     /// This telescope with segments that reflect the given amplitudes, in any unit. The amplitudes are scaled so that
@@ -150,6 +160,20 @@ impl Telescope {
         amplitudes.iter_mut().for_each(|amplitude| *amplitude /= mean);
         self.amplitudes = amplitudes;
         Ok(self)
+    }
+
+    /// Turn of the pupil in the images, degrees counter-clockwise.
+    pub fn turn_deg(&self) -> f64 {
+        self.turned.as_ref().map_or(0.0, |(turn_deg, _)| *turn_deg)
+    }
+
+    /// Coordinates on the mirror, m, of a point of the pupil in the images.
+    pub fn on_mirror(&self, (x, y): (f64, f64)) -> (f64, f64) {
+        if self.turned.is_none() {
+            return (x, y);
+        }
+        let (sin, cos) = self.turn_deg().to_radians().sin_cos();
+        (cos * x + sin * y, cos * y - sin * x)
     }
 
     /// Amplitude that each segment reflects, relative to the RMS over the pupil; empty if all are equal.
@@ -271,14 +295,19 @@ impl Telescope {
         }
     }
 
-    /// Weights of the segments in the samples of `grid` without a low pass: by exact area for a known geometry, by the
-    /// owner of each sample for a map.
+    /// The geometry that images show.
+    fn shown<'a>(&'a self, aperture: &'a Aperture) -> &'a Aperture {
+        self.turned.as_ref().map_or(aperture, |(_, turned)| turned)
+    }
+
+    /// Weights of the segments in the samples of `grid` of the pupil in the images without a low pass: by exact area for a known geometry,
+    /// by the owner of each sample for a map.
     ///
     /// # Errors
     /// As [`Telescope::pupil_on`].
     pub fn area_weights(&self, grid: Grid) -> Result<SegmentWeights> {
         let weights = match &self.source {
-            PupilSource::Exact(aperture) => SegmentWeights::area(aperture, &grid)?,
+            PupilSource::Exact(aperture) => SegmentWeights::area(self.shown(aperture), &grid)?,
             _ => SegmentWeights::hard(&self.pupil_on(grid)?),
         };
         Ok(self.reflected(weights, &grid))
@@ -289,13 +318,13 @@ impl Telescope {
         self.reflected(SegmentWeights::hard(&self.pupil), &self.pupil.grid)
     }
 
-    /// Low-passed weights on `grid`.
+    /// Low-passed weights on `grid` of the pupil in the images.
     ///
     /// # Errors
     /// [`Error::Value`] for a coarse pupil map, or an impossible `limit`.
     pub fn band_limited_weights(&self, grid: Grid, limit: &BandLimit) -> Result<SegmentWeights> {
         let weights = match &self.source {
-            PupilSource::Exact(aperture) => SegmentWeights::band_limited(aperture, &grid, limit)?,
+            PupilSource::Exact(aperture) => SegmentWeights::band_limited(self.shown(aperture), &grid, limit)?,
             PupilSource::Fine(fine) => SegmentWeights::band_limited_maps(fine, &grid, limit)?,
             PupilSource::Coarse => {
                 return Err(Error::Value(

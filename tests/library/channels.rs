@@ -26,7 +26,7 @@ fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
 }
 
 /// Whether the residuals are within three error bars: those of 7 pistons and some ten Zernikes exceed them once in 1,000 draws.
-fn is_right(found: &Estimate) -> bool {
+pub(crate) fn is_right(found: &Estimate) -> bool {
     let residual = &found.truth.as_ref().unwrap().1;
     residual.rms_nm[0] < 3.0 * found.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.ncpa.sigma_nm
 }

@@ -32,6 +32,7 @@ mod planner;
 mod progress;
 mod pupil;
 mod pupil_maps;
+mod pupil_turns;
 mod scene;
 mod scene_files;
 mod telemetry;

@@ -138,7 +138,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     files::spare_files_of(&scene, &[output])?;
     let (frames, unreadable) = {
         let _wait = terminal.wait(&format!("Reading {}", counted(inputs.len(), "file")), 1);
-        read_frames(&inputs, &arguments.channels)
+        read_frames(&inputs, &arguments.channels, scene.image.pupil_turn_card.as_deref())
     };
     interrupt.check("nothing was written")?;
     let mut reduction = {

@@ -94,13 +94,19 @@ pub fn star(image: &Array2<f64>, (y, x): (usize, usize), noise: &mut Noise) -> A
 
 /// A folder `raw` with five dithers, darks, flats and frames of the lamp off.
 pub fn desk() -> Desk {
-    let desk = Desk::with_images(&["image.count=5"]);
+    desk_with(&[], &|_| Vec::new())
+}
+
+/// [`desk`], of images with more settings and frames of the star with more cards, by their number.
+pub fn desk_with(settings: &[&str], cards: &dyn Fn(usize) -> Vec<(&'static str, Card)>) -> Desk {
+    let desk = Desk::with_images(&[&["image.count=5"], settings].concat());
     std::fs::create_dir(desk.path("raw")).unwrap();
     let images = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
     let mut noise = Noise(1);
     for (number, (image, at)) in images.outer_iter().zip(DITHERS).enumerate() {
         let frame = star(&image.to_owned(), at, &mut noise);
-        write(&desk, &format!("raw/n{number:04}.fits"), &frame, &[("OBJECT", "HD 1".into())]);
+        let cards = [vec![("OBJECT", "HD 1".into())], cards(number)].concat();
+        write(&desk, &format!("raw/n{number:04}.fits"), &frame, &cards);
     }
     for number in 0..9 {
         let frame = Array2::from_shape_fn((SIDE, SIDE), |_| NOISE_E * noise.normal());

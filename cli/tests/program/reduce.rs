@@ -2,10 +2,12 @@
 
 use crate::channels::PAIR;
 use crate::raw_frames::{
-    COADDS, DITHERS, GAIN, NOISE_E, Noise, RAW, SIDE, SKY_E, dark, desk, response, sky, star, write, write_cube,
+    COADDS, DITHERS, GAIN, NOISE_E, Noise, RAW, SIDE, SKY_E, dark, desk, desk_with, response, sky, star, write,
+    write_cube,
 };
 use crate::{Desk, number};
 use cophase::io::{Card, FitsReader, FitsWriter, Pixel, read_channels};
+use cophase::pipeline::embedded_scene;
 use ndarray::{Array2, Array3, Axis, s, stack};
 
 /// The row of a file in the log.
@@ -98,6 +100,42 @@ fn frames_of_another_exposure_are_rejected_as_an_estimate_does() {
     // A modal estimate does not read it.
     desk.succeeds(&[&reduce[..6], &RAW].concat());
     desk.succeeds(&["estimate", "reduced.fits", "-o", "reduced-est.fits"]);
+}
+
+#[test]
+fn turns_of_the_pupil_come_from_a_card() {
+    let turns_deg = [-3.0, -1.5, 0.0, 1.5, 3.0];
+    // A parallactic angle, which runs the other way.
+    let card = |number: usize| vec![("PARANG", Card::Real(40.0 - turns_deg[number]))];
+    let grid = ["--set", "pupil.grid_m=4.8"];
+    let desk = desk_with(&[&format!("image.pupil_turns_deg={turns_deg:?}"), "pupil.grid_m=4.8"], &card);
+    let reduce =
+        [&["reduce", "raw", "--scene", "scene.toml", "-o", "reduced.fits", "--json"], &RAW[..], &grid].concat();
+    let made = desk.json(&reduce);
+    let [warning] = made["warnings"].as_array().unwrap().as_slice() else { panic!("{made}") };
+    let facts = ["PARANG", "37.00 to 43.00 degrees", "image.pupil_turn_card = \"PARANG\""];
+    assert!(facts.iter().all(|fact| warning.as_str().unwrap().contains(fact)), "{warning}");
+    let ruled = ["--set", "image.pupil_turn_card=-PARANG", "--set", "image.pupil_turn_zero_deg=40"];
+    let made = desk.json(&[&reduce[..], &ruled].concat());
+    assert_eq!(made["warnings"].as_array().unwrap().len(), 0, "{made}");
+    let scene = embedded_scene(&desk.path("reduced.fits"), |_| true).unwrap().unwrap();
+    assert_eq!(scene.image.pupil_turns_deg, Some(turns_deg.to_vec()));
+    // With the scene of the file, and with that of the raw frames, which names the card.
+    let rule = "read_noise_e = 14.142\npupil_turn_card = \"-PARANG\"\npupil_turn_zero_deg = 40";
+    std::fs::write(desk.path("raw.toml"), crate::SMALL.replace("read_noise_e = 20", rule)).unwrap();
+    let own = [&["--scene", "raw.toml"], &grid[..]].concat();
+    for options in [&[][..], &own] {
+        let estimate = [&["estimate", "reduced.fits", "-o", "est.fits", "--json", "--strict"], options].concat();
+        let found = desk.json(&estimate);
+        let residuals = desk.residuals("est.fits", "images.fits");
+        for (part, residual) in ["phasing", "ncpa"].into_iter().zip(residuals) {
+            let sigma_nm = number(&found, &format!("{part}_sigma_nm"));
+            assert!(residual < 3.0 * sigma_nm, "{part}: {residual} nm at {sigma_nm} nm");
+        }
+    }
+    let other = ["--set", "image.pupil_turn_card=ROTPOSN"];
+    let refused = desk.run(&[&reduce[..], &other].concat());
+    assert!(refused.status == 1 && refused.err.contains("no number ROTPOSN"), "{}", refused.err);
 }
 
 #[test]

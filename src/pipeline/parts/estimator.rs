@@ -10,6 +10,7 @@ use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{Estimator, Ready, ReadyChannels, acknowledged};
 use crate::pipeline::images::Images;
 use crate::pipeline::modal_task::ModalTask;
+use crate::pipeline::pupil_turns::TurnedImages;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
@@ -35,6 +36,13 @@ impl Estimator {
                 "estimate.budget_nm = {budget_nm} is planned anew by every part: plan once ('cophase plan --output') and give the parts the \
                  scene that it writes"
             )));
+        }
+        let each = match (self.scene.channels(), images) {
+            ([], [only]) => vec![only],
+            _ => self.begin_channels(images)?,
+        };
+        if let Some(turned) = TurnedImages::of(&self.given, &each)? {
+            return self.variant(&turned.scene)?.fit_part(&turned.images, part, earlier);
         }
         let found = self.fits_of(images, part, earlier);
         self.control.enter(Stage::Idle, 0);

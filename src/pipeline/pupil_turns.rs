@@ -1,0 +1,199 @@
+//! Pupils that turn on the detector: images with one turn are those of a channel, by whose model the pupil is turned.
+
+use super::estimate::Estimate;
+use super::images::{Images, Trust, counted};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use ndarray::Axis;
+
+/// Key of the turns.
+const KEY: &str = "image.pupil_turns_deg";
+/// Turns that differ by no more are fitted as one: at half of that, 0.025°, the edge of a pupil of 11 m is 2 mm off, where a degree costs 11 nm.
+const RESOLUTION_DEG: f64 = 0.05;
+
+/// Images whose pupils are turned by different angles, as channels.
+pub(super) struct TurnedImages {
+    /// The scene, with a channel for each turn.
+    pub(super) scene: Scene,
+    pub(super) images: Vec<Images>,
+    /// Number of each image of these, channel after channel, among all that were given.
+    order: Vec<usize>,
+    /// What a user should know of it.
+    remarks: Vec<String>,
+}
+
+impl TurnedImages {
+    /// The `images` of the channels of `given` as channels of one turn of the pupil each; `None` where the scene has one turn, or none.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for another number of turns than of images; [`Error::Image`] for turns in the file that contradict the scene's.
+    pub(super) fn of(given: &Scene, images: &[&Images]) -> Result<Option<Self>> {
+        let scenes: Vec<&Scene> = match given.channels() {
+            [] => vec![given],
+            channels => channels.iter().map(|channel| &channel.scene).collect(),
+        };
+        let turns_deg = scenes.iter().zip(images).map(|(scene, images)| turns_of(scene, images));
+        let turns_deg = turns_deg.collect::<Result<Vec<_>>>()?;
+        let is_scenes_own = |(scene, turns_deg): (&&Scene, &Option<Vec<f64>>)| {
+            turns_deg
+                .as_ref()
+                .is_none_or(|turns_deg| scene.image.pupil_turns_deg.as_ref() == Some(turns_deg) && turns_deg.len() == 1)
+        };
+        if scenes.iter().zip(&turns_deg).all(is_scenes_own) {
+            return Ok(None);
+        }
+        let most = Scene::MAX_CHANNELS / scenes.len();
+        let (mut channels, mut parts, mut order, mut remarks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut begin, count) = (0, images.iter().map(|images| images.len()).sum::<usize>());
+        for (number, (images, turns_deg)) in images.iter().zip(turns_deg).enumerate() {
+            let turns_deg = match turns_deg.unwrap_or_else(|| vec![0.0]) {
+                one if one.len() == 1 => vec![one[0]; images.len()],
+                each => each,
+            };
+            let (groups, width_deg) = grouped(&turns_deg, most);
+            if width_deg > RESOLUTION_DEG {
+                remarks.push(format!(
+                    "The pupil turns by more than {most} models resolve: images within {width_deg:.2}° of each other are fitted with their mean turn."
+                ));
+            }
+            let name = given.channels().get(number).map(|channel| format!("{:.24}, ", channel.name));
+            let mut own = Vec::new();
+            for Group { turn_deg, images: which } in groups {
+                let name = format!("{}turn {turn_deg:+.3}", name.as_deref().unwrap_or_default());
+                let scene =
+                    images.scene.as_ref().map(|scene| scene.with(&[(KEY, &format!("[{turn_deg}]"))])).transpose()?;
+                parts.push(Images { channel: Some(name.clone()), scene, ..images.selected(&which) });
+                order.extend(which.iter().map(|image| begin + image));
+                own.push((name, turn_deg));
+            }
+            channels.push(own);
+            begin += images.len();
+        }
+        let turns = counted(channels.iter().map(Vec::len).sum(), "turn");
+        remarks.push(format!("{} were fitted with {turns} of the pupil.", counted(count, "image")));
+        let scene = given.with_turns(&channels)?;
+        Ok(Some(Self { scene, images: parts, order, remarks }))
+    }
+
+    /// `estimate` of these images as one of the images in the order in which they were given, by `scene`.
+    pub(super) fn in_given_order(self, estimate: Estimate, scene: &Scene) -> Estimate {
+        let mut places: Vec<usize> = (0..self.order.len()).collect();
+        places.sort_by_key(|&place| self.order[place]);
+        // Images that no channel has, such as those of one that was left out, keep their places.
+        let is_whole = estimate.images.len() == places.len();
+        let images = if is_whole {
+            places.iter().map(|&place| estimate.images[place].clone()).collect()
+        } else {
+            estimate.images
+        };
+        let rows = &estimate.image_coefficients_nm;
+        let image_coefficients_nm =
+            if rows.nrows() == places.len() { rows.select(Axis(0), &places) } else { rows.clone() };
+        let remarks = self.remarks.into_iter().chain(estimate.remarks).collect();
+        Estimate { images, image_coefficients_nm, remarks, scene: scene.clone(), ..estimate }
+    }
+}
+
+/// Turns of the pupil in `images`, degrees: one, or one for each; `None` where there is no word of any.
+fn turns_of(scene: &Scene, images: &Images) -> Result<Option<Vec<f64>>> {
+    let own = scene.image.pupil_turns_deg.as_ref();
+    let of_file = images.scene.as_ref().and_then(|of_file| of_file.image.pupil_turns_deg.as_ref());
+    let is_decided = images.overrides.iter().any(|key| key == KEY);
+    let turns_deg = match (own, of_file) {
+        (None, None) => return Ok(None),
+        (Some(own), None) => own,
+        (None, Some(of_file)) if scene.image.pupil_turn_card.is_some() => of_file,
+        (Some(own), Some(of_file)) if same(own, of_file) => own,
+        (_, Some(of_file)) if images.trust == Trust::File && !is_decided => of_file,
+        (own, Some(_)) if images.trust == Trust::Scene || is_decided => match own {
+            Some(own) => own,
+            None => return Ok(None),
+        },
+        (own, Some(of_file)) => {
+            let of_scene = own.map_or("does not name it".into(), |own| format!("has {}", short(own)));
+            return Err(Error::Image(format!(
+                "the file contradicts the scene: table SCENE has {KEY} = {} where the scene {of_scene}; remove the contradiction, or say which of the \
+                 two holds (estimate --trust scene or --trust file)",
+                short(of_file)
+            )));
+        }
+    };
+    match turns_deg.len() {
+        1 => Ok(Some(turns_deg.clone())),
+        count if count == images.len() => Ok(Some(turns_deg.clone())),
+        count => Err(Error::Scene(format!(
+            "{}: {KEY} has {count} numbers for {}; one, or one for each image, is needed",
+            scene.name(),
+            counted(images.len(), "image")
+        ))),
+    }
+}
+
+/// Whether two lists have the same turns, to a millionth of a degree.
+fn same(one: &[f64], other: &[f64]) -> bool {
+    one.len() == other.len() && one.iter().zip(other).all(|(a, b)| (a - b).abs() <= 1e-6)
+}
+
+/// A list, without its middle where it is long.
+fn short(turns_deg: &[f64]) -> String {
+    match turns_deg {
+        [first, second, _, .., last] => format!("[{first}, {second}, ..., {last}]"),
+        few => format!("{few:?}"),
+    }
+}
+
+/// Images with one turn of the pupil.
+struct Group {
+    turn_deg: f64,
+    images: Vec<usize>,
+}
+
+/// Images whose turns differ by no more than a width, in at most `most` groups; and that width, degrees.
+fn grouped(turns_deg: &[f64], most: usize) -> (Vec<Group>, f64) {
+    let mut order: Vec<usize> = (0..turns_deg.len()).collect();
+    order.sort_by(|&a, &b| turns_deg[a].total_cmp(&turns_deg[b]));
+    let range_deg = match (order.first(), order.last()) {
+        (Some(&first), Some(&last)) => turns_deg[last] - turns_deg[first],
+        _ => 0.0,
+    };
+    let group_by = |width_deg: f64| {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for &image in &order {
+            match groups.last_mut() {
+                Some(group) if turns_deg[image] - turns_deg[group[0]] <= width_deg => group.push(image),
+                _ => groups.push(vec![image]),
+            }
+        }
+        groups
+    };
+    let mut width_deg = RESOLUTION_DEG;
+    let mut groups = group_by(width_deg);
+    if groups.len() > most {
+        width_deg = range_deg / most as f64;
+        groups = group_by(width_deg);
+    }
+    let groups = groups.into_iter().map(|mut images| {
+        let turn_deg = images.iter().map(|&image| turns_deg[image]).sum::<f64>() / images.len() as f64;
+        images.sort_unstable();
+        Group { turn_deg, images }
+    });
+    (groups.collect(), width_deg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turns_are_grouped_within_the_resolution() {
+        let (groups, width_deg) = grouped(&[1.0, -0.5, 1.02, 0.0, -0.5], 64);
+        let found: Vec<_> = groups.iter().map(|group| (group.turn_deg, group.images.as_slice())).collect();
+        assert_eq!(found, [(-0.5, &[1, 4][..]), (0.0, &[3]), (1.01, &[0, 2])]);
+        assert_eq!(width_deg, RESOLUTION_DEG);
+        // A range that is longer than the groups: none wider than its share.
+        let turns_deg: Vec<f64> = (0..500).map(|image| 0.1 * f64::from(image)).collect();
+        let (groups, width_deg) = grouped(&turns_deg, 10);
+        assert!(groups.len() <= 10 && (4.9..5.1).contains(&width_deg), "{} {width_deg}", groups.len());
+        assert_eq!(groups.iter().map(|group| group.images.len()).sum::<usize>(), 500);
+    }
+}
