@@ -204,6 +204,16 @@ def ctrl_c(model, frame):
     assert stopped(lambda: interruptible(call, session.cancel)) and len(calls) == 1
     assert session.fit(frame).status == "OK"
 
+    # Nothing stops the set-up of a model: it is left to end by itself, long before or after which the signal has its effect.
+    is_over = threading.Event()
+
+    def set_up():
+        os.kill(os.getpid(), signal.SIGINT)
+        is_over.wait(60)
+
+    assert stopped(lambda: interruptible(set_up)) and not is_over.is_set()
+    is_over.set()
+
 
 def main(path, debug=None):
     scene = Path(path).read_text("utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Any, TypeVar
 
+from ._interrupt import interruptible
 from ._library import ffi, lib, result
 from .errors import Error
 
@@ -22,8 +23,14 @@ class Handle:
     _instead = "send what it is made from"
 
     def _own(self, kind: str, create: Any, *inputs: Any) -> None:
-        """Owns the ``kind`` that ``create`` makes of ``inputs``."""
-        self._handle = ffi.gc(result(f"{kind} *", create, *inputs), getattr(lib, f"{kind}_destroy"))
+        """Owns the ``kind`` that ``create`` makes of ``inputs``. Ctrl-C ends it within two seconds."""
+        made = []
+
+        def call() -> None:
+            made.append(ffi.gc(result(f"{kind} *", create, *inputs), getattr(lib, f"{kind}_destroy")))
+
+        interruptible(call)
+        self._handle = made[0]
 
     def close(self) -> None:
         """Frees the object now, rather than with the last reference to it. Every later call raises.

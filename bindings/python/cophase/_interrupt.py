@@ -9,9 +9,13 @@ from typing import Callable
 
 from .errors import Error
 
+# Longest time that Ctrl-C waits for a call to end at its next safe place. A call that goes on, as the set-up of a large telescope does,
+# ends in its own thread, and what it makes is freed.
+PATIENCE_S = 2.0
 
-def interruptible(call: Callable[[], None], cancel: Callable[[], None]) -> None:
-    """Makes a call that Ctrl-C cancels.
+
+def interruptible(call: Callable[[], None], cancel: Callable[[], None] | None = None) -> None:
+    """Makes a call that Ctrl-C ends, by ``cancel`` where the library can stop it.
 
     Python handles a signal in the main thread only, and only between its own instructions. So the main thread waits in
     Python while another thread is inside the library.
@@ -20,26 +24,33 @@ def interruptible(call: Callable[[], None], cancel: Callable[[], None]) -> None:
         call()
         return
     done: Future[None] = Future()
+    # Guards both flags: a call that has ended is not cancelled.
+    lock, flags = threading.Lock(), {"ended": False, "cancelled": False}
 
     def work() -> None:
         try:
             call()
+            with lock:
+                flags["ended"] = True
+            if flags["cancelled"]:
+                # The call ended before it reached a safe place; the cancellation must not fall on the next one.
+                with suppress(Error):
+                    call()
             done.set_result(None)
         except BaseException as error:  # noqa: BLE001 - raised again by the thread that waits
             done.set_exception(error)
 
-    thread = threading.Thread(target=work, name="cophase")
+    # A process that ends does not wait for it.
+    thread = threading.Thread(target=work, name="cophase", daemon=True)
     try:
         thread.start()
         done.result()
     except BaseException as error:
         if thread.ident is None or (done.done() and done.exception() is error):  # not started, or the call's own error
             raise
-        cancel()
-        if thread.is_alive():
-            thread.join()
-        if done.done() and done.exception() is None:
-            # The call ended before it could be cancelled; the cancellation must not fall on the next one.
-            with suppress(Error):
-                call()
+        with lock:
+            if cancel is not None and not flags["ended"]:
+                flags["cancelled"] = True
+                cancel()
+        thread.join(PATIENCE_S)
         raise
