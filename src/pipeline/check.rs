@@ -27,6 +27,7 @@ pub use finding::{CheckedQuantity, Finding, Verdict};
 
 use super::consistency::{Contradiction, Electrons, reconcile};
 use super::control::{Control, Stage};
+use super::cut_out::scene_of_cut_out;
 use super::images::{Images, Trust};
 use super::misfit::{self, TOP};
 use super::modal_task::{Fitted, ModalTask};
@@ -80,6 +81,8 @@ pub fn check(
     scene.refuse_channels("a check of images")?;
     images.check()?;
     control.reset_progress();
+    let cut_out = scene_of_cut_out(scene, &[images])?;
+    let scene = cut_out.as_ref().map_or(scene, |(cut_out, _)| cut_out);
     let (images, _) = images.without_odd_edge(scene.image.frame_shape());
     let trusting = Images { trust: Trust::Scene, ..images.into_owned() };
     let mut settings = vec![("estimate.fit_optics", "[]"), ("estimate.method", "modal"), ("estimate.model", "scene")];

@@ -3,6 +3,7 @@
 use super::channels::{ChannelImages, by_diversity};
 use super::consistency::{Electrons, reconcile};
 use super::control::{Control, Stage};
+use super::cut_out::scene_of_cut_out;
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, TruthMaps, counted};
@@ -108,6 +109,10 @@ impl Estimator {
     /// [`Estimator::estimate`], with the fits of parts.
     fn estimate_one(&self, images: &Images, parts: Option<&mut PartFits>) -> Result<Estimate> {
         self.begin(images)?;
+        if let Some((scene, remark)) = scene_of_cut_out(&self.given, &[images])? {
+            let estimate = self.variant(&scene)?.estimate_one(images, parts)?;
+            return Ok(with_remark(estimate, remark));
+        }
         if let Some(turned) = TurnedImages::of(&self.given, &[images])? {
             return self.estimate_turned(turned, parts, images);
         }
@@ -177,7 +182,12 @@ impl Estimator {
         if let ([], [only]) = (self.scene.channels(), images) {
             return self.estimate_one(only, parts);
         }
-        let images = self.begin_channels(images)?;
+        let in_order = self.begin_channels(images)?;
+        if let Some((scene, remark)) = scene_of_cut_out(&self.given, &in_order)? {
+            let estimate = self.variant(&scene)?.estimate_each(images, parts)?;
+            return Ok(with_remark(estimate, remark));
+        }
+        let images = in_order;
         if let Some(turned) = TurnedImages::of(&self.given, &images)? {
             return self.estimate_turned(turned, parts, images[0]);
         }
@@ -278,6 +288,12 @@ fn compare_with_truth(estimate: &mut Estimate, truth: Option<&TruthMaps>) {
         // A truth on another grid cannot be compared; the estimate is valid without it.
         Err(error) => estimate.warnings.push(format!("the truth of these images is not shown: {error}")),
     }
+}
+
+/// `estimate` with one more remark, the first.
+fn with_remark(mut estimate: Estimate, remark: String) -> Estimate {
+    estimate.remarks.insert(0, remark);
+    estimate
 }
 
 /// The images of each channel, in the order of the channels.

@@ -17,6 +17,7 @@ mod channels;
 mod check;
 mod consistency;
 mod control;
+mod cut_out;
 mod estimate;
 mod estimator;
 mod explain;

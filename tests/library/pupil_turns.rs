@@ -88,9 +88,9 @@ fn pupils_that_cannot_turn_are_refused() {
     }
     let behind_ao = Scene::preset("keck-onsky").unwrap().with(&[turn]).map(|_| ()).unwrap_err().to_string();
     assert_facts(&behind_ao, "image.pupil_turns_deg is not accepted with adaptive optics");
-    let tight =
-        Scene::preset("jwst-pair").unwrap().with(&[("pupil.grid_m", ""), turn]).map(|_| ()).unwrap_err().to_string();
-    assert_facts(&tight, "beyond its grid | pupil.grid_m of 6.");
+    let wide = [("pupil.grid_m", ""), ("image.pupil_turns_deg", "[6.0, 12.0, 18.0, 24.0]")];
+    let tight = Scene::preset("keck-artificial").unwrap().with(&wide).map(|_| ()).unwrap_err().to_string();
+    assert_facts(&tight, "beyond its grid | pupil.grid_m of 10.9");
     let error = scene(&[]).with(&[("image.pupil_turns_deg", "[]")]).map(|_| ()).unwrap_err().to_string();
     assert_facts(&error, "image.pupil_turns_deg = []");
     let error = cophase::modal::ModalFitter::new(&turning(TURNS_DEG), false).map(|_| ()).unwrap_err().to_string();

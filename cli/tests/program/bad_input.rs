@@ -54,9 +54,14 @@ fn images_that_hold_no_star() {
 #[test]
 fn images_and_masks_of_the_wrong_size() {
     let desk = Desk::with_images(&["image.pixels=32"]);
+    // A file of another program, whose size no scene explains.
+    let images = cophase::io::FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
+    let mut plain = cophase::io::FitsWriter::create(desk.path("plain.fits")).unwrap();
+    plain.image("IMAGES", &images, cophase::io::Pixel::F32, "electron").unwrap();
+    plain.finish().unwrap();
     desk.refuses(
-        &[&ESTIMATE[..], &["--scene", "scene.toml"]].concat(),
-        &["images.fits", "32x32", "64x64", "image.pixels"],
+        &["estimate", "plain.fits", "-o", "est.fits", "--scene", "scene.toml"],
+        &["plain.fits", "32x32", "64x64", "image.pixels"],
     );
     let mut mask = cophase::io::FitsWriter::create(desk.path("mask.fits")).unwrap();
     mask.image("BADPIX", &ndarray::Array2::<f64>::zeros((16, 16)), cophase::io::Pixel::I32, "").unwrap();

@@ -103,6 +103,23 @@ fn frames_of_another_exposure_are_rejected_as_an_estimate_does() {
 }
 
 #[test]
+fn a_cut_out_of_another_size_is_fitted_by_the_scene_of_the_frames() {
+    let desk = desk();
+    std::fs::write(desk.path("raw.toml"), crate::SMALL.replace("read_noise_e = 20", "read_noise_e = 14.142")).unwrap();
+    desk.succeeds(&["reduce", "raw", "--scene", "raw.toml", "-o", "reduced.fits", "--pixels", "48"]);
+    let estimate = ["estimate", "reduced.fits", "-o", "est.fits", "--json"];
+    let by_file = desk.json(&estimate);
+    let by_frames = desk.json(&[&estimate[..], &["--scene", "raw.toml"]].concat());
+    assert_eq!(by_file["phasing_rms_nm"], by_frames["phasing_rms_nm"]);
+    let said = desk.succeeds(&["estimate", "reduced.fits", "-o", "est.fits", "--scene", "raw.toml"]).out;
+    assert!(said.contains("48x48 pixels") && said.contains("64x64"), "{said}");
+    desk.succeeds(&["check", "reduced.fits", "--scene", "raw.toml"]);
+    let set = ["--scene", "raw.toml", "--set", "image.pixels=64"];
+    let refused = desk.run(&[&estimate[..], &set].concat());
+    assert!(refused.status == 1 && refused.err.contains("48x48 pixels where the scene says 64x64"), "{}", refused.err);
+}
+
+#[test]
 fn turns_of_the_pupil_come_from_a_card() {
     let turns_deg = [-3.0, -1.5, 0.0, 1.5, 3.0];
     // A parallactic angle, which runs the other way.

@@ -6,6 +6,7 @@ use crate::modal::FitSeries;
 use crate::pipeline::channels::{Channels, by_diversity};
 use crate::pipeline::consistency::Electrons;
 use crate::pipeline::control::Stage;
+use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{Estimator, Ready, ReadyChannels, acknowledged};
 use crate::pipeline::images::Images;
@@ -41,6 +42,9 @@ impl Estimator {
             ([], [only]) => vec![only],
             _ => self.begin_channels(images)?,
         };
+        if let Some((scene, _)) = scene_of_cut_out(&self.given, &each)? {
+            return self.variant(&scene)?.fit_part(images, part, earlier);
+        }
         if let Some(turned) = TurnedImages::of(&self.given, &each)? {
             return self.variant(&turned.scene)?.fit_part(&turned.images, part, earlier);
         }
