@@ -24,6 +24,8 @@ pub struct FrameFile {
     pub images: Images,
     /// When it was observed, s since 1970: from its cards, else its last change.
     pub observed_s: f64,
+    /// Whether a card has it, or something that is no time, of which the images' notes say so.
+    pub is_dated: bool,
 }
 
 impl FrameReader {
@@ -37,13 +39,14 @@ impl FrameReader {
             return Err(Error::file(path, "holds no image"));
         }
         let Observed { time_s, unread } = observed(path);
+        let is_dated = time_s.is_some() || unread.is_some();
         if let (None, Some(card)) = (time_s, unread) {
             images.notes.push(format!(
                 "the time of the observation is not read from the card {card}: that of the file's last change is used; \
                  2026-11-25T04:15:30.25 is accepted"
             ));
         }
-        Ok(FrameFile { images, observed_s: time_s.unwrap_or_else(|| stamp.mtime_s()) })
+        Ok(FrameFile { images, observed_s: time_s.unwrap_or_else(|| stamp.mtime_s()), is_dated })
     }
 
     /// `images` with what the command line says of them.

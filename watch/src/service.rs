@@ -82,7 +82,18 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
         .map(|page| Page::start(page, &settings.state, &live, model.estimator.fitter().clone()))
         .transpose()?;
     let corrections = settings.corrections;
-    let mut watcher = Watcher { model, store, tracking, reader, corrections, log, live, terminal, interrupt };
+    let mut watcher = Watcher {
+        model,
+        store,
+        tracking,
+        reader,
+        corrections,
+        log,
+        live,
+        terminal,
+        interrupt,
+        has_said_undated: false,
+    };
     watcher.log.line("watch", serde_json::json!({ "source": place.to_string(), "process": std::process::id() }));
     if let Some(page) = &page {
         terminal.show(&format!("page: http://{}/\n", page.address()))?;

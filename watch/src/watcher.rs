@@ -41,6 +41,8 @@ pub struct Watcher<'a> {
     pub live: Live,
     pub terminal: &'a Terminal,
     pub interrupt: &'a Interrupt,
+    /// Whether it was said that a file has no card of its time.
+    pub has_said_undated: bool,
 }
 
 /// A frame that is to be estimated.
@@ -72,11 +74,29 @@ impl Watcher<'_> {
             return Ok(Outcome::Changed);
         }
         match read {
-            Ok(file) => self.take_images(&file, &record, complete_s)?,
+            Ok(file) => {
+                self.say_undated(&file, path);
+                self.take_images(&file, &record, complete_s)?;
+            }
             Err(error @ Error::Interrupted(_)) => return Err(error),
             Err(error) => self.refuse(&record, &error.to_string())?,
         }
         Ok(Outcome::Stored)
+    }
+
+    /// Says of the first file without a card of its time what takes its place.
+    fn say_undated(&mut self, file: &FrameFile, path: &Path) {
+        if file.is_dated || self.has_said_undated {
+            return;
+        }
+        self.has_said_undated = true;
+        let sentence = format!(
+            "{}: no card has the time of the observation (DATE-OBS, MJD-OBS or another): that of the file's last change is used, as for every \
+             file without one",
+            path.display()
+        );
+        self.terminal.warn(&sentence);
+        self.log.line("undated", json!({ "sentence": sentence }));
     }
 
     /// Refuses the file `path`, which is not complete.

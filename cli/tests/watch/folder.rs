@@ -169,7 +169,7 @@ fn a_log_has_a_line_of_json_for_each_frame() {
     let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let mut kinds: Vec<&str> = lines.iter().map(|line| line["what"].as_str().unwrap()).collect();
     kinds.sort_unstable();
-    assert_eq!(kinds, ["frame", "refused", "watch"]);
+    assert_eq!(kinds, ["frame", "refused", "undated", "watch"]);
     let frame = lines.iter().find(|line| line["what"] == "frame").unwrap();
     assert!(
         frame["phasing_rms_nm"].as_f64().unwrap() > 0.0 && frame["time"].as_str().unwrap().ends_with('Z'),

@@ -50,6 +50,8 @@ fn a_mirror_that_moves_is_an_alarm_and_one_that_rests_is_none() {
         .map(Result::unwrap)
         .collect();
     assert!(!found.is_empty(), "{}", done.err);
+    // Of twenty files without a card of their time.
+    assert_eq!(done.err.matches("no card has the time of the observation").count(), 1, "{}", done.err);
     for (kind, frame, size_nm, error_nm, since_s, sentence) in &found {
         assert!(kind == "segment" || kind == "wavefront", "{sentence}");
         // Not before frame 11, the first after the step; a step of 15 to 60 nm is ten error bars, so that two frames prove it.
