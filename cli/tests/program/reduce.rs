@@ -103,7 +103,7 @@ fn frames_of_another_exposure_are_rejected_as_an_estimate_does() {
 }
 
 #[test]
-fn a_cut_out_of_another_size_is_fitted_by_the_scene_of_the_frames() {
+fn a_cut_out_of_another_size_is_fitted() {
     let desk = desk();
     std::fs::write(desk.path("raw.toml"), crate::SMALL.replace("read_noise_e = 20", "read_noise_e = 14.142")).unwrap();
     desk.succeeds(&["reduce", "raw", "--scene", "raw.toml", "-o", "reduced.fits", "--pixels", "48"]);
