@@ -214,7 +214,7 @@ impl Estimator {
     /// The estimate of images of different turns of the pupil, the `first` of which have the truth.
     fn estimate_turned(&self, turned: TurnedImages, parts: Option<&mut PartFits>, first: &Images) -> Result<Estimate> {
         let found = self.variant(&turned.scene)?.estimate_each(&turned.images, parts)?;
-        let mut estimate = turned.in_given_order(found, &self.scene);
+        let mut estimate = turned.in_given_order(found);
         compare_with_truth(&mut estimate, first.truth.as_ref());
         Ok(estimate)
     }

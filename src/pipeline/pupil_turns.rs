@@ -15,6 +15,8 @@ const RESOLUTION_DEG: f64 = 0.05;
 pub(super) struct TurnedImages {
     /// The scene, with a channel for each turn.
     pub(super) scene: Scene,
+    /// The scene as it was given, with the turns that a file has.
+    given: Scene,
     pub(super) images: Vec<Images>,
     /// Number of each image of these, channel after channel, among all that were given.
     order: Vec<usize>,
@@ -42,6 +44,15 @@ impl TurnedImages {
         if scenes.iter().zip(&turns_deg).all(is_scenes_own) {
             return Ok(None);
         }
+        let of_file = scenes.iter().zip(&turns_deg).enumerate().filter_map(|(number, (scene, turns_deg))| {
+            let turns_deg =
+                turns_deg.as_ref().filter(|turns_deg| scene.image.pupil_turns_deg.as_ref() != Some(*turns_deg))?;
+            let channel = given.channels().get(number).map(|channel| format!("channel.{}.", channel.name));
+            Some((format!("image.{}pupil_turns_deg", channel.unwrap_or_default()), format!("{turns_deg:?}")))
+        });
+        let of_file: Vec<(String, String)> = of_file.collect();
+        let of_file: Vec<(&str, &str)> = of_file.iter().map(|(key, turns)| (key.as_str(), turns.as_str())).collect();
+        let with_turns = if of_file.is_empty() { given.clone() } else { given.with(&of_file)? };
         let most = Scene::MAX_CHANNELS / scenes.len();
         let (mut channels, mut parts, mut order, mut remarks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut begin, count) = (0, images.iter().map(|images| images.len()).sum::<usize>());
@@ -72,11 +83,11 @@ impl TurnedImages {
         let turns = counted(channels.iter().map(Vec::len).sum(), "turn");
         remarks.push(format!("{} were fitted with {turns} of the pupil.", counted(count, "image")));
         let scene = given.with_turns(&channels)?;
-        Ok(Some(Self { scene, images: parts, order, remarks }))
+        Ok(Some(Self { scene, given: with_turns, images: parts, order, remarks }))
     }
 
-    /// `estimate` of these images as one of the images in the order in which they were given, by `scene`.
-    pub(super) fn in_given_order(self, estimate: Estimate, scene: &Scene) -> Estimate {
+    /// `estimate` of these images as one of the images in the order in which they were given.
+    pub(super) fn in_given_order(self, estimate: Estimate) -> Estimate {
         let mut places: Vec<usize> = (0..self.order.len()).collect();
         places.sort_by_key(|&place| self.order[place]);
         // Images that no channel has, such as those of one that was left out, keep their places.
@@ -90,7 +101,7 @@ impl TurnedImages {
         let image_coefficients_nm =
             if rows.nrows() == places.len() { rows.select(Axis(0), &places) } else { rows.clone() };
         let remarks = self.remarks.into_iter().chain(estimate.remarks).collect();
-        Estimate { images, image_coefficients_nm, remarks, scene: scene.clone(), ..estimate }
+        Estimate { images, image_coefficients_nm, remarks, scene: self.given, ..estimate }
     }
 }
 

@@ -65,7 +65,9 @@ fn turns_of_a_file_are_those_of_a_scene_that_names_their_card() {
     let ruled = silent.with(&[("image.pupil_turn_card", "-PARANG")]).unwrap();
     let trusting = Images { trust: Trust::File, ..images.clone() };
     for found in [estimate(&ruled, &images), estimate(&silent, &trusting)] {
-        assert!(is_right(&found.unwrap()));
+        let found = found.unwrap();
+        assert!(is_right(&found));
+        assert_eq!(found.scene.image.pupil_turns_deg, made.image.pupil_turns_deg, "the estimate says what it used");
     }
     let other = estimate(&turning("[3.0, 4.0, 0.5, 3.01]"), &images).unwrap_err().to_string();
     assert_facts(&other, "the scene has [3, 4, ..., 3.01]");
