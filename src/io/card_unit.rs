@@ -45,6 +45,8 @@ pub(super) enum Stated {
     Counts,
     /// No number of this quantity: the setting of a camera, decibels.
     Setting,
+    /// A unit of another quantity, or one that is not known.
+    Unknown,
 }
 
 /// Word of a text, or the line of a fraction.
@@ -74,6 +76,32 @@ fn tokens(text: &str) -> Vec<Token> {
     tokens
 }
 
+/// A comment without the words that belong to a number in it (`max 60 s`) or to a longer word (`hour-long`), which are not the unit of the card.
+fn without_quantities(comment: &str) -> String {
+    let mut left = String::new();
+    let mut is_after_number = false;
+    for word in comment.split_inclusive(' ') {
+        let bare = word.trim().trim_end_matches([',', ';', '.', ')']);
+        let ends_in_digit = bare.ends_with(|c: char| c.is_ascii_digit());
+        let is_number = ends_in_digit && bare.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c));
+        let is_compound = bare
+            .split_once('-')
+            .is_some_and(|(a, b)| [a, b].iter().all(|part| !part.is_empty() && part.chars().all(char::is_alphabetic)));
+        // A number with its unit attached, as in `10ms`.
+        let is_quantity = bare.starts_with(|c: char| c.is_ascii_digit()) && bare.ends_with(char::is_alphabetic);
+        if !(is_after_number || is_compound || is_quantity) {
+            left.push_str(word);
+        }
+        is_after_number = is_number;
+    }
+    left
+}
+
+/// Whether square brackets hold one word that is no unit of `units`, such as `[THz]`, or `text` is such a word.
+fn is_other_unit(text: &str, units: Units) -> bool {
+    matches!(tokens(text).as_slice(), [Token::Word(word)] if factor(word, units).is_none() && !text.trim().contains(' '))
+}
+
 /// The factor of the unit `word`.
 fn factor(word: &str, units: Units) -> Option<f64> {
     units.iter().find(|(names, ..)| names.contains(&word)).map(|(_, factor, _)| *factor)
@@ -88,7 +116,25 @@ fn bracketed(comment: &str) -> Vec<&str> {
 pub(super) fn stated(value: &str, comment: &str, units: Units) -> Option<Stated> {
     let of_unit = |text: &str| named(&tokens(text), units, false);
     let in_brackets = || bracketed(comment).into_iter().find_map(of_unit);
-    of_unit(value).or_else(in_brackets).or_else(|| named(&tokens(comment), units, true))
+    let square = comment.split_once('[').and_then(|(_, rest)| rest.split_once(']')).map(|(unit, _)| unit);
+    let is_other = |text: &str| is_other_unit(text, units);
+    let unknown = || (is_other(value) || square.is_some_and(is_other)).then_some(Stated::Unknown);
+    of_unit(value)
+        .or_else(in_brackets)
+        .or_else(unknown)
+        .or_else(|| in_words(comment, units))
+        .or_else(|| named(&tokens(&without_quantities(comment)), units, true))
+}
+
+/// The unit that a comment names as `in seconds`, where also words count that may mean something else.
+fn in_words(comment: &str, units: Units) -> Option<Stated> {
+    let tokens = tokens(&without_quantities(comment));
+    let after_in = tokens.windows(2).find_map(|pair| match pair {
+        [Token::Word(first), Token::Word(unit)] if first == "in" => factor(unit, units),
+        _ => None,
+    });
+    let is_fraction = tokens.contains(&Token::Over);
+    after_in.filter(|_| !is_fraction).map(Stated::Factor)
 }
 
 /// The unit that `tokens` name. In free text, words of one letter and [`AMBIGUOUS`] ones count in a fraction only.
@@ -102,6 +148,10 @@ fn named(tokens: &[Token], units: Units, is_free: bool) -> Option<Stated> {
             }
             if let (Some(factor), true) = (factor(over, units), below.contains(&under.as_str())) {
                 return Some(Stated::Factor(factor));
+            }
+            // Such as µV for an electron, which is the response of an amplifier.
+            if is_electrons && factor(under, units).is_some() {
+                return Some(Stated::Unknown);
             }
         }
     }
@@ -128,7 +178,7 @@ mod tests {
 
     #[test]
     fn units_are_read_in_values_and_comments() {
-        use Stated::{Counts, Factor, Inverse, Setting};
+        use Stated::{Counts, Factor, Inverse, Setting, Unknown};
         for (value, comment, units, expected) in [
             (" um", "", WAVELENGTHS, Some(Factor(1e3))),
             ("", "[A] central", WAVELENGTHS, Some(Factor(0.1))),
@@ -152,6 +202,14 @@ mod tests {
             ("", "read noise, electrons", ELECTRONS, Some(Factor(1.0))),
             (" mas/pix", "", PIXELS, Some(Factor(1.0))),
             ("", "[pix/arcsec]", PIXELS, Some(Inverse(1e3))),
+            ("", "Exposure time, max 60 s, min 0.1 ms", SECONDS, None),
+            ("", "one of an hour-long series", SECONDS, None),
+            ("", "shutter 1/100 s", SECONDS, None),
+            ("", "Exposure time in min", SECONDS, Some(Factor(60.0))),
+            ("", "[THz]", WAVELENGTHS, Some(Unknown)),
+            (" µas", "", PIXELS, Some(Unknown)),
+            ("", "[uV/e-]", ELECTRONS, Some(Unknown)),
+            ("", "gain [ADU/electron]", ELECTRONS, Some(Inverse(1.0))),
             ("", "pixel on the sky, mas", PIXELS, Some(Factor(1.0))),
         ] {
             assert_eq!(stated(value, comment, units), expected, "{value:?} / {comment:?}");

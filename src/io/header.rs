@@ -84,7 +84,12 @@ const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
         false,
     ),
     (Quantity::PixelMas, &["PIXSCALE", "PIXSCAL", "PIXSCAL1", "PIXELSCL", "SECPIX", "SECPIX1"], PIXELS, false),
-    (Quantity::ExposureS, &["EXPTIME", "EXPOSURE", "TRUITIME", "ITIME", "TEXP", "ESO DET DIT"], SECONDS, true),
+    (
+        Quantity::ExposureS,
+        &["EXPTIME", "EXPOSURE", "TRUITIME", "ITIME", "TEXP", "ESO DET DIT", "ESO DET SEQ1 DIT"],
+        SECONDS,
+        true,
+    ),
     (Quantity::BackgroundE, &["BACKGR_E"], ELECTRONS, true),
 ];
 
@@ -100,7 +105,7 @@ const LEAST_TOLERANCE: f64 = 1e-6;
 const COORDINATES_TOLERANCE: f64 = 0.02;
 
 /// Keywords of the integration time of one coadd, the true one of OSIRIS first: its `ITIME` is in ms.
-pub const COADD_TIMES: [&str; 3] = ["TRUITIME", "ITIME", "ESO DET DIT"];
+pub const COADD_TIMES: [&str; 4] = ["TRUITIME", "ITIME", "ESO DET DIT", "ESO DET SEQ1 DIT"];
 /// Keyword of the number of integrations that an infrared camera of ESO averages.
 pub const AVERAGED_COADDS: &str = "ESO DET NDIT";
 
@@ -191,12 +196,17 @@ fn fact(
     let digits = text[..end].trim_end_matches(|c: char| !(c.is_ascii_digit() || c == '.'));
     let value: Option<f64> = digits.replace(['d', 'D'], "e").parse().ok().filter(|value: &f64| value.is_finite());
     let names: Vec<&str> = units.iter().map(|(names, ..)| names[0]).collect();
+    let rest = text[digits.len()..].trim_start();
+    if rest.starts_with(|c: char| c.is_ascii_digit() || ",:/".contains(c)) {
+        return Err(format!("`{text}` is not one number with a decimal point"));
+    }
     let value = value.ok_or_else(|| format!("a number, with a unit ({}) or without, is accepted", names.join(", ")))?;
     let values: Vec<f64> = match card_unit::stated(&text[digits.len()..], comment, units) {
         Some(Stated::Factor(factor)) => vec![value * factor],
         Some(Stated::Inverse(factor)) if value != 0.0 => vec![factor / value],
         Some(Stated::Inverse(_)) => return Err("the inverse of 0 is no number".into()),
         Some(Stated::Setting) => return Err(format!("its comment `{comment}` names a setting of the camera")),
+        Some(Stated::Unknown) => return Err(format!("its unit is none of {}", names.join(", "))),
         // A gain in counts is the number of electrons in one, as its bare number is.
         Some(Stated::Counts) if quantity == Quantity::GainEPerAdu => vec![value],
         Some(Stated::Counts) => {
@@ -304,5 +314,18 @@ mod tests {
         }
         assert_eq!(pixel_unit(""), PixelUnit::Unstated);
         assert_eq!(pixel_unit("electron/s"), PixelUnit::Other("electron/s".into()));
+    }
+
+    #[test]
+    fn numbers_that_go_on_behind_a_comma_or_colon_are_not_read() {
+        for (quantity, written) in [
+            (Quantity::GainEPerAdu, "'8,5'"),
+            (Quantity::WavelengthNm, "'2,1686 um'"),
+            (Quantity::ExposureS, "'00:00:10.0'"),
+            (Quantity::ExposureS, "'1 1/2'"),
+        ] {
+            assert_eq!(read(quantity, written, ""), None, "{written}");
+        }
+        assert_eq!(read(Quantity::ExposureS, "'1.5 s'", "").map(|fact| fact.values), Some(vec![1.5]));
     }
 }

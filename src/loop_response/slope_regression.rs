@@ -21,7 +21,11 @@ const SIMPLER: f64 = 0.05;
 /// Slopes to one independent number: residuals of neighbouring subapertures are correlated.
 const SLOPES_PER_NUMBER: f64 = 4.0;
 /// Scatter of a slope over that of the others below which its subaperture is stuck: pointing alone moves each by a third or more.
-const STUCK_SHARE: f64 = 1e-3;
+const STUCK_SHARE: f64 = 0.1;
+/// Fewest images of which a small scatter of both slopes is no chance: of six normal numbers one is below a tenth three times in 10⁵.
+const IMAGES_OF_A_SCATTER: usize = 6;
+/// The same of fewer images: slopes that do not change at all.
+const STUCK_SHARE_OF_FEW: f64 = 1e-3;
 /// Significance of a correlation, standard deviations.
 const SIGNIFICANT: f64 = 3.0;
 /// Fewest images whose order is identifiable: of two, each is the negative of the other about their mean.
@@ -65,7 +69,7 @@ pub struct SlopeRegression {
     pub excludes_flips: bool,
     /// Least correlation that noise does not explain.
     pub significant_correlation: f64,
-    /// Subapertures (row, column) whose slopes do not change from image to image, where those of the others do.
+    /// Subapertures (row, column) whose slopes hardly change from image to image, where those of the others do.
     pub stuck: Vec<(usize, usize)>,
 }
 
@@ -192,9 +196,10 @@ fn stuck(slopes_mas: ArrayView2<f64>, subapertures: &[usize]) -> impl Iterator<I
     let scatter: Vec<f64> = slopes_mas.columns().into_iter().map(|column| column.std(0.0)).collect();
     let mut sorted = scatter.clone();
     sorted.sort_by(f64::total_cmp);
-    let least = STUCK_SHARE * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let share = if slopes_mas.nrows() < IMAGES_OF_A_SCATTER { STUCK_SHARE_OF_FEW } else { STUCK_SHARE };
+    let least = share * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
     let half = scatter.len() / 2;
-    let is_stuck = move |&(number, _): &(usize, &usize)| scatter[number] < least && scatter[half + number] < least;
+    let is_stuck = move |&(number, _): &(usize, &usize)| scatter[number].max(scatter[half + number]) < least;
     subapertures.iter().enumerate().filter(is_stuck).map(|(_, &subaperture)| subaperture)
 }
 
@@ -327,5 +332,14 @@ mod tests {
         measured.column_mut(60 + place).fill(-900.0);
         let found = compare(&measured, &predicted);
         assert_eq!((found.stuck.as_slice(), &found.fault), (&[(3, 5)][..], &None), "{found:?}");
+        // With the noise of a detector, where there are enough images to tell.
+        let predicted = normal(8, 1);
+        let mut measured = &predicted + &(normal(8, 3) * 0.4);
+        assert!(compare(&measured, &predicted).stuck.is_empty());
+        for (slope, mas) in [(place, 900.0), (60 + place, -900.0)] {
+            let noise = normal(8, 5).column(slope).mapv(|noise| mas + 0.03 * noise);
+            measured.column_mut(slope).assign(&noise);
+        }
+        assert_eq!(compare(&measured, &predicted).stuck, [(3, 5)]);
     }
 }

@@ -127,7 +127,7 @@ pub(super) fn check(
         let places: Vec<String> = found.stuck.iter().map(|(row, column)| format!("{row}, {column}")).collect();
         let them = if places.len() == 1 { "it" } else { "they" };
         check.warnings.push(format!(
-            "the slopes of {} (row, column from 0: {}) are the same in every image: the NCPA absorb what {them} should have \
+            "the slopes of {} (row, column from 0: {}) hardly change from image to image: the NCPA absorb what {them} should have \
              measured, beyond their error bars",
             counted(places.len(), "subaperture"),
             places.join("; ")

@@ -7,13 +7,17 @@ use std::collections::BTreeSet;
 /// Largest distance of an unlabelled illuminated sample from a labelled one, in samples: at an anti-aliased edge or a gap.
 /// A larger distance means that a label is missing.
 const RIM: usize = 2;
+/// Labels that may stand for no segment: 0, and what −1 becomes in unsigned or is replaced by in short integers.
+const NOWHERE: [i32; 5] = [0, 127, 255, 32_767, 65_535];
 /// Most segments of a pupil: more labels are another map than one of segments.
 const MOST_SEGMENTS: usize = 10_000;
 
 /// The segment of each illuminated sample, −1 elsewhere, and the label of each segment, ascending.
 pub(super) fn owners(amplitude: &Array2<f64>, mut labels: Array2<i32>) -> Result<(Array2<i32>, Vec<i32>)> {
-    if is_zero_outside(amplitude, &labels) {
-        labels.mapv_inplace(|label| if label == 0 { -1 } else { label });
+    for outside in NOWHERE {
+        if is_outside(amplitude, &labels, outside) {
+            labels.mapv_inplace(|label| if label == outside { -1 } else { label });
+        }
     }
     let mut label = Array2::from_elem(labels.dim(), -1);
     for ((y, x), _) in amplitude.indexed_iter().filter(|(_, a)| **a > 0.0) {
@@ -34,15 +38,21 @@ pub(super) fn owners(amplitude: &Array2<f64>, mut labels: Array2<i32>) -> Result
     Ok((label.mapv(number), found))
 }
 
-/// Whether label 0 means that there is no segment: where no label is negative and all illuminated samples with it are at the rim of
+/// Whether a label means that there is no segment: where no label is negative and all illuminated samples with it are at the rim of
 /// a segment. A segment has samples farther inside.
-fn is_zero_outside(amplitude: &Array2<f64>, labels: &Array2<i32>) -> bool {
-    if labels.iter().any(|label| *label < 0) || labels.iter().all(|label| *label == 0) {
+fn is_outside(amplitude: &Array2<f64>, labels: &Array2<i32>, outside: i32) -> bool {
+    let has_it = labels.iter().any(|label| *label == outside);
+    if !has_it || labels.iter().any(|label| *label < 0) || labels.iter().all(|label| *label == outside) {
         return false;
     }
-    let others = labels.mapv(|label| if label == 0 { -1 } else { label });
-    let zeros = labels.indexed_iter().filter(|(at, label)| **label == 0 && amplitude[*at] > 0.0);
-    zeros.map(|(at, _)| at).all(|(y, x)| nearest_label(amplitude, &others, y, x).is_some())
+    // The number of a segment has few samples without light.
+    let lights = || labels.iter().zip(amplitude).filter(|(label, _)| **label == outside).map(|(_, a)| *a > 0.0);
+    if outside != 0 && 2 * lights().filter(|is_lit| *is_lit).count() > lights().count() {
+        return false;
+    }
+    let others = labels.mapv(|label| if label == outside { -1 } else { label });
+    let lit = labels.indexed_iter().filter(|(at, label)| **label == outside && amplitude[*at] > 0.0);
+    lit.map(|(at, _)| at).all(|(y, x)| nearest_label(amplitude, &others, y, x).is_some())
 }
 
 /// The label of the nearest labelled illuminated sample; among equally near ones, the first in grid order.

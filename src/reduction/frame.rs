@@ -181,6 +181,26 @@ impl Cards<'_> {
         card.number().or_else(|| card.text()?.trim().parse().ok()).filter(|number: &f64| number.is_finite())
     }
 
+    /// Angle in a card: degrees, also as a text with its unit (`40.0 deg`, `0.698 rad`) or of degrees, minutes and seconds (`39:30:00`).
+    fn angle_deg(&mut self, key: &str) -> Option<f64> {
+        if let Some(number) = self.number(key) {
+            return Some(number);
+        }
+        let text = self.text(key)?;
+        let plain = |text: &str| text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+        if let [degrees, minutes, seconds] = text.split(':').collect::<Vec<_>>()[..] {
+            let sign = if degrees.trim().starts_with('-') { -1.0 } else { 1.0 };
+            return Some(plain(degrees)? + sign * (plain(minutes)? / 60.0 + plain(seconds)? / 3600.0));
+        }
+        let (number, unit) =
+            text.trim().split_at(text.trim().find(|c: char| c.is_alphabetic() && c != 'e' && c != 'E')?);
+        match unit.to_ascii_lowercase().as_str() {
+            "deg" | "degree" | "degrees" | "d" => plain(number),
+            "rad" | "radian" | "radians" => plain(number).map(f64::to_degrees),
+            _ => None,
+        }
+    }
+
     fn class(&mut self) -> (FrameClass, String) {
         let cards = std::cell::RefCell::new(self);
         classify(|key| cards.borrow_mut().text(key))
@@ -206,14 +226,16 @@ impl Cards<'_> {
         // ITIME is the time of one coadd (NIRC2, OSIRIS); the others are that of the whole frame.
         let whole = ["EXPTIME", "EXPOSURE", "TEXP"].iter().find_map(|keyword| exposure(keyword));
         let of_coadd = io::COADD_TIMES.iter().find_map(|keyword| exposure(keyword));
-        let itime_s = of_coadd.or_else(|| Some(whole? / f64::from(coadds)));
+        // The exposure of an average is that of one coadd.
+        let in_whole = if averaged.is_some() { 1.0 } else { f64::from(coadds) };
+        let itime_s = of_coadd.or_else(|| Some(whole? / in_whole));
         let read_mode =
             [self.text("SAMPMODE"), self.text("MULTISAM")].into_iter().flatten().collect::<Vec<_>>().join("/");
         let filter = ["FILTER", "FILTNAME", "FILTNAM", "FILTER1"].iter().find_map(|key| self.text(key));
         let saturation_adu = ["SATURATE", "SATURATN", "SATLEVEL", "SATUR"].iter().find_map(|key| self.number(key));
         let saturation_adu = saturation_adu.filter(|counts| *counts > 0.0);
-        let pupil_angle_deg = turn_card.and_then(|card| self.number(card));
-        let angles_deg = ANGLES.into_iter().filter_map(|card| Some((card, self.number(card)?))).collect();
+        let pupil_angle_deg = turn_card.and_then(|card| self.angle_deg(card));
+        let angles_deg = ANGLES.into_iter().filter_map(|card| Some((card, self.angle_deg(card)?))).collect();
         FrameHeader {
             itime_s,
             coadds,

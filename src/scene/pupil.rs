@@ -15,8 +15,8 @@ section! {
     PupilScene = "pupil" {
         /// Hexagonal segments in rings ("keck" and "hexagonal" differ in the default of central_segment only), or round ones in their places.
         aperture: Aperture, ANY, default(Aperture::Keck);
-        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels: whole numbers, −1, or 0 where they begin at 1, outside of the
-        /// segments). Needs grid_m.
+        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels: whole numbers; outside of the segments −1, 0 where they begin at 1, or 255 or 65535 of
+        /// unsigned integers). Needs grid_m.
         file: Option<PathBuf>, ANY, unset("hexagons, given by aperture");
         /// Number of rings of hexagons around the centre.
         rings: usize, between(0.0, 30.0), default(3usize);

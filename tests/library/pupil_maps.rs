@@ -46,6 +46,29 @@ fn an_edge_without_labels_belongs_to_its_neighbour() {
 }
 
 #[test]
+fn labels_of_unsigned_integers_for_no_segment_are_no_segment() {
+    let pupil = Aperture::keck().pupil(&Grid::new(120, 10.95).unwrap()).unwrap();
+    for nowhere in [255, 65_535] {
+        // The rim of the mirror is in no segment of such maps.
+        let labels = pupil.owner.mapv(|owner| if owner < 0 { nowhere } else { owner });
+        let rim = Array2::from_shape_fn(labels.dim(), |(y, x)| {
+            let near = |c: usize| c.saturating_sub(1)..(c + 2).min(120);
+            let is_at_edge = near(y).any(|v| near(x).any(|u| pupil.owner[[v, u]] < 0));
+            if is_at_edge { nowhere } else { labels[[y, x]] }
+        });
+        let read = Pupil::from_maps(pupil.grid, pupil.amplitude.clone(), Some(rim)).unwrap();
+        assert_eq!(read.segments.len(), 36);
+        let moved = read.owner.iter().zip(&pupil.owner).filter(|(read, own)| read != own).count();
+        assert!(moved < 30, "{moved} samples are of another segment");
+    }
+    // The same number is a segment's where its samples are lit.
+    let (grid, amplitude, labels) = two_segments();
+    let pupil =
+        Pupil::from_maps(grid, amplitude, Some(labels.mapv(|label| if label == 1 { 255 } else { label }))).unwrap();
+    assert_eq!(pupil.segments.len(), 2);
+}
+
+#[test]
 fn invalid_maps_are_refused_with_the_place_and_the_value() {
     let (grid, amplitude, _) = two_segments();
     for value in [f64::NAN, f64::INFINITY, -0.1, 1.5] {

@@ -51,7 +51,9 @@ impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the image ")?;
         match self {
-            Self::NoGoodPixel => f.write_str("has no good pixel: all are bad or not finite"),
+            Self::NoGoodPixel => f.write_str(
+                "has no good pixel in the part that is fitted: all are bad or not finite there (in a map of good pixels true and false must change places)",
+            ),
             Self::FewGoodPixels { good } => write!(f, "has only {good} good pixels: at least 64 are needed"),
             Self::Constant { value } => write!(f, "is constant: every good pixel holds {value}"),
             Self::NoPositivePixel { largest } => {
