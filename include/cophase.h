@@ -705,7 +705,7 @@ typedef struct {
   double ncpa_sigma_nm;
   /* Phasing and NCPA together, nm RMS. */
   double wavefront_rms_nm;
-  /* Expected error of both together, nm RMS. */
+  /* Expected error of both together, nm RMS; NaN in a MAP estimate. */
   double wavefront_sigma_nm;
   /* Median reduced chi-square of the images that were used. Turbulence finer than the model's samples makes it 4 to 5
    * behind a bright star in a MAP estimate.

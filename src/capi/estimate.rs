@@ -116,7 +116,7 @@ pub struct cophase_estimate_info {
     pub ncpa_sigma_nm: f64,
     /// Phasing and NCPA together, nm RMS.
     pub wavefront_rms_nm: f64,
-    /// Expected error of both together, nm RMS.
+    /// Expected error of both together, nm RMS; NaN in a MAP estimate.
     pub wavefront_sigma_nm: f64,
     /// Median reduced chi-square of the images that were used. Turbulence finer than the model's samples makes it 4 to 5
     /// behind a bright star in a MAP estimate.

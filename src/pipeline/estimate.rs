@@ -45,7 +45,7 @@ pub struct Estimate {
     pub phasing: Figure,
     /// RMS of the NCPA, and its error bar.
     pub ncpa: Figure,
-    /// RMS of the sum of both, and its error bar.
+    /// RMS of the sum of both, and its error bar; the error bar is NaN in a MAP estimate, which does not compute it.
     pub wavefront: Figure,
     /// Contributions to the error bars of phasing and NCPA.
     pub error_budget: Vec<ErrorTerm>,

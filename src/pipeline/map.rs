@@ -135,7 +135,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
         covariance_nm2: last.errors.covariance_nm2.clone(),
         phasing: Figure::from_map(&pupil, last.phasing_nm.view(), last.error_budget.total_nm[0])?,
         ncpa: Figure::from_map(&pupil, last.ncpa_nm.view(), last.error_budget.total_nm[1])?,
-        wavefront: Figure::from_map(&pupil, wavefront_nm.view(), last.error_budget.wavefront_nm)?,
+        wavefront: Figure::from_map(&pupil, wavefront_nm.view(), f64::NAN)?,
         phasing_nm: last.phasing_nm.clone(),
         ncpa_nm: last.ncpa_nm.clone(),
         phasing_sigma_nm: last.phasing_sigma_nm.clone(),

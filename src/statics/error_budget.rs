@@ -54,18 +54,15 @@ pub struct BudgetTerm {
 pub struct ErrorBudget {
     /// Expected RMS error over the pupil, phasing and NCPA, piston, tip and tilt removed, nm.
     pub total_nm: [f64; 2],
-    /// Expected RMS error of their sum, without segments that the loop compensates, which are in no wavefront behind it, nm.
-    pub wavefront_nm: f64,
     /// One term for each of [`ErrorSource::ALL`]; for either group the squares add up to the total's, to rounding.
     pub terms: Vec<BudgetTerm>,
 }
 
 impl ErrorBudget {
     /// From the totals without NCPA beyond the modes, the part that averages over the images, and the NCPA's other terms. The rest of
-    /// the phasing's total is of segments that the loop compensates. `sum_nm` is the total of the sum of phasing and NCPA.
+    /// the phasing's total is of segments that the loop compensates.
     pub(super) fn new(
         total_nm: [f64; 2],
-        sum_nm: f64,
         [phasing_nm, ncpa_nm]: [f64; 2],
         diversity_nm: f64,
         loop_response_nm: f64,
@@ -79,8 +76,7 @@ impl ErrorBudget {
             ncpa(ErrorSource::NcpaBeyondModes, 0.0),
             BudgetTerm { source: ErrorSource::CompensatedSegments, phasing_nm: compensated_nm, ncpa_nm: 0.0 },
         ];
-        let wavefront_nm = (sum_nm.powi(2) - compensated_nm.powi(2)).max(0.0).sqrt();
-        Self { total_nm, wavefront_nm, terms }
+        Self { total_nm, terms }
     }
 
     /// Terms of phasing and NCPA from one source, nm.
@@ -103,7 +99,6 @@ impl ErrorBudget {
     /// Adds NCPA of `rms_nm` beyond the modes.
     pub(super) fn add_beyond_modes(&mut self, rms_nm: f64) {
         self.total_nm[1] = self.total_nm[1].hypot(rms_nm);
-        self.wavefront_nm = self.wavefront_nm.hypot(rms_nm);
         for term in self.terms.iter_mut().filter(|term| term.source == ErrorSource::NcpaBeyondModes) {
             term.ncpa_nm = term.ncpa_nm.hypot(rms_nm);
         }
@@ -116,7 +111,7 @@ mod tests {
 
     #[test]
     fn squares_of_the_terms_add_up_to_the_total() {
-        let mut budget = ErrorBudget::new([5.0, 13.0], 12.0f64.hypot(4.0), [3.0, 5.0], 12.0, 0.0);
+        let mut budget = ErrorBudget::new([5.0, 13.0], [3.0, 5.0], 12.0, 0.0);
         budget.add_beyond_modes(84.0);
         assert_eq!(budget.terms.iter().map(|term| term.source).collect::<Vec<_>>(), ErrorSource::ALL);
         let sum = |of: fn(&BudgetTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
@@ -124,7 +119,5 @@ mod tests {
         assert_eq!((budget.total_nm, budget.averaged_nm()), ([5.0, 85.0], [3.0, 5.0]));
         assert_eq!(budget.term_nm(ErrorSource::CompensatedSegments), [4.0, 0.0]);
         assert_eq!(budget.iterated_nm(), [5.0, 5.0]);
-        // Phasing and NCPA whose errors partly cancel; the compensated segments are in no wavefront.
-        assert!((budget.wavefront_nm - 12.0f64.hypot(84.0)).abs() < 1e-12);
     }
 }

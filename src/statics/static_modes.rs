@@ -196,8 +196,7 @@ impl StaticModes {
             |covariance_nm2: &Array2<f64>| self.gram.expected_rms_of_nm(ncpa.clone(), covariance_nm2.view());
         let diversity_nm = self.diversity_nm2.as_ref().map_or(Ok(0.0), ncpa_rms_nm)?;
         let total_nm = self.expected_rms_nm(&errors.covariance_nm2)?;
-        let sum_nm = self.gram.expected_rms_of_nm(0..errors.covariance_nm2.nrows(), errors.covariance_nm2.view())?;
-        Ok(ErrorBudget::new(total_nm, sum_nm, averaged_nm, diversity_nm, ncpa_rms_nm(&response_nm2)?))
+        Ok(ErrorBudget::new(total_nm, averaged_nm, diversity_nm, ncpa_rms_nm(&response_nm2)?))
     }
 
     /// Expected RMS over the pupil of phasing and NCPA with a covariance, piston, tip and tilt removed, nm.
