@@ -9,7 +9,7 @@ use super::sensor::SlopeFormat;
 use super::simulator::{Simulator, sections};
 use crate::io::aot::{AotTables, Cell, TIME_REFERENCE, image_reference as image, row_reference as row};
 use crate::io::{CHANNEL, ELECTRON, FitsWriter, Pixel};
-use crate::scene::{ControlScene, Loop, Scene, SensorScene};
+use crate::scene::{ControlScene, Loop, SensorScene, System};
 use crate::source::file;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis, array, stack};
@@ -35,7 +35,7 @@ struct ChannelShots<'a> {
 
 impl ChannelShots<'_> {
     /// Name of the extension with the images; the channel's is not one, because names of extensions ignore case.
-    fn hdu(&self, scene: &Scene) -> String {
+    fn hdu(&self, scene: &System) -> String {
         if scene.channels().is_empty() { "IMAGES".into() } else { format!("IMAGES_{}", self.number + 1) }
     }
 
@@ -60,7 +60,13 @@ impl ChannelShots<'_> {
 /// # Errors
 /// [`Error::Image`] for a run without any image; [`Error::Value`] for a scene with `wavefront_sensor.slope_order`, because the standard
 /// fixes the order of slopes; [`Error::File`] where the file cannot be written.
-pub fn write_aot(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Result<()> {
+pub fn write_aot(
+    path: &Path,
+    scene_text: &str,
+    simulator: &Simulator,
+    shots: &[Shot],
+    summary: &Summary,
+) -> Result<()> {
     let scene = simulator.scene();
     let (sensing, control) = sections(scene)?;
     check_aot(scene)?;
@@ -81,7 +87,7 @@ pub fn write_aot(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &S
     control_loop(&mut tables, control)?;
 
     let mut file = FitsWriter::create(path)?;
-    let configuration = format!("{AOT_SCENE}{}", scene.text());
+    let configuration = format!("{AOT_SCENE}{scene_text}");
     tables.write(&mut file, "SCAO", "cophase simulation", &configuration)?;
     file.card("PRIMARY", "STREHL-R", summary.strehl, "of the residual wavefront, long exposure")?;
     file.card("PRIMARY", "STREHL-L", scene.image.wavelength_nm * 1e-9, "wavelength of that, m")?;
@@ -101,7 +107,7 @@ pub fn write_aot(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &S
 ///
 /// # Errors
 /// As [`write_aot`].
-pub fn check_aot(scene: &Scene) -> Result<()> {
+pub fn check_aot(scene: &System) -> Result<()> {
     let (sensing, _) = sections(scene)?;
     if sensing.is_pyramid() {
         let sentence =
@@ -122,7 +128,7 @@ pub fn check_aot(scene: &Scene) -> Result<()> {
 }
 
 /// The channels that have images.
-fn channels<'a>(scene: &Scene, shots: &'a [Shot], count: usize) -> Vec<ChannelShots<'a>> {
+fn channels<'a>(scene: &System, shots: &'a [Shot], count: usize) -> Vec<ChannelShots<'a>> {
     let of_number = |number: usize| {
         let uid = scene.channels().get(number).map_or("CAMERA".into(), |channel| channel.name.clone());
         ChannelShots { number, uid, shots: shots.iter().filter(|shot| shot.channel == number).collect() }
@@ -158,7 +164,7 @@ const LAYERS: [(&str, &str); 5] = [
     ("LAYERS_WIND_DIRECTION", "LAYERS_WIND_DIRECTION"),
 ];
 
-fn atmosphere(scene: &Scene) -> Vec<(&'static str, Cell)> {
+fn atmosphere(scene: &System) -> Vec<(&'static str, Cell)> {
     let turbulence = &scene.turbulence;
     // Fried's parameter of a scene is that at 500 nm.
     let mut cells: Vec<(&str, Cell)> =
@@ -170,7 +176,7 @@ fn atmosphere(scene: &Scene) -> Vec<(&'static str, Cell)> {
 }
 
 /// Writes the layers of the turbulence, `[1, layer]`.
-fn layers(file: &mut FitsWriter, scene: &Scene) -> Result<()> {
+fn layers(file: &mut FitsWriter, scene: &System) -> Result<()> {
     let turbulence = &scene.turbulence;
     if turbulence.fractions.is_empty() {
         return Ok(());
@@ -242,8 +248,8 @@ fn telescope(simulator: &Simulator) -> Vec<(&'static str, Cell)> {
     cells
 }
 
-fn camera(tables: &mut AotTables, scene: &Scene, channel: &ChannelShots) -> Result<()> {
-    let own = scene.channels().get(channel.number).map_or(scene, |channel| &channel.scene);
+fn camera(tables: &mut AotTables, scene: &System, channel: &ChannelShots) -> Result<()> {
+    let own = scene.channels().get(channel.number).map_or(scene, |channel| &channel.system);
     let camera = &own.image;
     let wavelength_m = camera.wavelength_nm * 1e-9;
     let (rows, columns) = camera.frame_shape();
@@ -275,7 +281,7 @@ fn camera(tables: &mut AotTables, scene: &Scene, channel: &ChannelShots) -> Resu
 }
 
 /// Writes the images of a channel, with the cards of [`super::write`], and their times.
-fn images(file: &mut FitsWriter, scene: &Scene, channel: &ChannelShots, flux_e: f64) -> Result<()> {
+fn images(file: &mut FitsWriter, scene: &System, channel: &ChannelShots, flux_e: f64) -> Result<()> {
     let hdu = channel.hdu(scene);
     let views: Vec<_> = channel.shots.iter().map(|shot| shot.image_e.view()).collect();
     let images_e: Array3<f32> =
@@ -285,7 +291,7 @@ fn images(file: &mut FitsWriter, scene: &Scene, channel: &ChannelShots, flux_e: 
     if let Some(own) = of_scene {
         file.card(&hdu, CHANNEL, own.name.as_str(), "name of the channel")?;
     }
-    file::image_cards(file, &hdu, of_scene.map_or(scene, |own| &own.scene), flux_e)?;
+    file::image_cards(file, &hdu, of_scene.map_or(scene, |own| &own.system), flux_e)?;
     file.card(&hdu, TIME_REFERENCE, row(&channel.time()), "times")
 }
 

@@ -139,7 +139,7 @@ impl Extrapolation {
 mod tests {
     use super::LoopAtRest;
     use crate::ao::testing::small;
-    use crate::ao::{Simulator, UNDISTURBED_LOOP};
+    use crate::ao::{Simulator, undisturb};
 
     #[test]
     #[ignore = "merge: 2 s"]
@@ -152,8 +152,7 @@ mod tests {
             &[("wavefront_sensor.mask", "segments"), ("control.fill", "inpaint")],
         ];
         for law in laws {
-            let settings: Vec<_> = UNDISTURBED_LOOP.iter().chain(law).copied().collect();
-            let scene = small("", &settings);
+            let scene = small("", law).system().with(undisturb).unwrap();
             let simulator = Simulator::new(&scene).unwrap();
             let pupil = simulator.pupil();
             let stride = simulator.footprint().stride();

@@ -1,7 +1,7 @@
 //! Channels of a simulation: what each images the wavefront with.
 
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::{Diversity, Filter, Telescope};
 
 /// Diversity and filter of one way of imaging the wavefront.
@@ -9,7 +9,7 @@ pub(super) struct ChannelOptics {
     /// Its name; `None` for the only one of a scene without channels.
     pub(super) name: Option<String>,
     /// Its own scene.
-    pub(super) scene: Scene,
+    pub(super) scene: System,
     pub(super) diversity: Diversity,
     pub(super) filter: Filter,
 }
@@ -19,17 +19,17 @@ impl ChannelOptics {
     ///
     /// # Errors
     /// Those of reading the diversity and the filter.
-    pub(super) fn all(scene: &Scene, telescope: &Telescope) -> Result<Vec<Self>> {
+    pub(super) fn all(scene: &System, telescope: &Telescope) -> Result<Vec<Self>> {
         match scene.channels() {
             [] => Ok(vec![Self::new(None, scene, telescope)?]),
             channels => {
-                let each = channels.iter().map(|own| Self::new(Some(&own.name), &own.scene, telescope));
+                let each = channels.iter().map(|own| Self::new(Some(&own.name), &own.system, telescope));
                 each.collect()
             }
         }
     }
 
-    fn new(name: Option<&String>, scene: &Scene, telescope: &Telescope) -> Result<Self> {
+    fn new(name: Option<&String>, scene: &System, telescope: &Telescope) -> Result<Self> {
         let (diversity, filter) = (Diversity::new(scene, telescope)?, Filter::new(scene)?);
         Ok(Self { name: name.cloned(), scene: scene.clone(), diversity, filter })
     }

@@ -3,7 +3,7 @@
 use super::camera::{ScienceCamera, View};
 use super::simulator::Simulator;
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::source::{DetectorPixels, expose, flux_e, stream};
 use ndarray::Array2;
 
@@ -11,7 +11,7 @@ use ndarray::Array2;
 pub(super) struct Detector {
     pub(super) camera: ScienceCamera,
     pixels: DetectorPixels,
-    scene: Scene,
+    scene: System,
     /// Electrons of the star in an image.
     pub(super) flux_e: f64,
 }

@@ -67,7 +67,7 @@ impl Drift {
 
 #[cfg(test)]
 mod tests {
-    use crate::ao::{Frame, Progress, Recorder, Shot, Simulator, UNDISTURBED_LOOP};
+    use crate::ao::{Frame, Progress, Recorder, Shot, Simulator, undisturb};
     use crate::scene::Scene;
     use ndarray::Array2;
 
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn static_errors_drift_linearly_about_the_middle() {
         let small = include_str!("../../tests/c_api/small.toml");
-        let scene = Scene::from_text(small, "".as_ref()).unwrap().with(&UNDISTURBED_LOOP).unwrap();
+        let scene = Scene::from_text(small, "".as_ref()).unwrap();
         let quiet = [
             ("control.settle_s", "0"),
             // A negligible gain: only the segments change the residual.
@@ -110,7 +110,8 @@ mod tests {
             ("image.peak_snr", "1e5"),
             ("faults.drift_nm_per_min", "2000"),
         ];
-        let mut simulator = Simulator::new(&scene.with(&quiet).unwrap()).unwrap();
+        let scene = scene.with(&quiet).unwrap();
+        let mut simulator = Simulator::new(&scene.system().with(undisturb).unwrap()).unwrap();
         let still_nm = simulator.segments_nm().to_vec();
         let mut ends = Ends::default();
         simulator.run(&mut ends, &mut Progress::default()).unwrap();

@@ -27,7 +27,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Error::Image`] for a run without any image, [`Error::File`] where the file cannot be written.
-pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Result<()> {
+pub fn write(path: &Path, scene_text: &str, simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Result<()> {
     let scene = simulator.scene();
     if shots.is_empty() {
         let reason =
@@ -66,7 +66,7 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
         file.image(MOVED_REFERENCE, &row, Pixel::F64, format.unit())?;
     }
     system(&mut file, simulator, &format)?;
-    file.text("SCENE", scene.text())?;
+    file.text("SCENE", scene_text)?;
     file.finish()
 }
 

@@ -2,7 +2,7 @@
 
 use super::sensor::{Lenslets, OTHER_SLOPE_ORDERS, SlopeFormat, slope_sources};
 use crate::io::FitsReader;
-use crate::scene::{ControlScene, Scene, SensorScene, SlopeOrder};
+use crate::scene::{ControlScene, SensorScene, SlopeOrder, System};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayView2};
 use std::path::Path;
@@ -16,7 +16,7 @@ const LEAST_CORRELATION: f64 = 0.6;
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, or whose matrix does not fit, or is of other slopes or actuators than the model's.
-pub(super) fn interaction(scene: &Scene, lenslets: &Lenslets, modelled: &Array2<f64>) -> Result<Option<Array2<f64>>> {
+pub(super) fn interaction(scene: &System, lenslets: &Lenslets, modelled: &Array2<f64>) -> Result<Option<Array2<f64>>> {
     let Some((sensing, control)) = scene.wavefront_sensor.as_ref().zip(scene.control.as_ref()) else { return Ok(None) };
     let Some(file) = &control.interaction_file else { return Ok(None) };
     let path = scene.resolve(file);
@@ -38,7 +38,7 @@ pub(super) fn interaction(scene: &Scene, lenslets: &Lenslets, modelled: &Array2<
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, or whose matrix does not fit.
 pub(super) fn command_matrix(
-    scene: &Scene,
+    scene: &System,
     control: &ControlScene,
     lenslets: &Lenslets,
     actuators: usize,

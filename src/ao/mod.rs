@@ -59,5 +59,5 @@ pub(crate) use sensor::{OTHER_SLOPE_ORDERS, slope_sources};
 pub use simulator::Simulator;
 pub use stepper::Stepper;
 pub use surface::Surface;
-pub use undisturbed::UNDISTURBED_LOOP;
+pub use undisturbed::undisturb;
 pub use work::Work;

@@ -2,8 +2,9 @@
 
 use super::Simulator;
 use super::simulator::sections;
+use super::undisturbed::take_noise;
 use crate::modes::SmoothBasis;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::source::Truth;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -13,10 +14,6 @@ use ndarray::{Array1, ArrayView1};
 /// counts, in which the turbulence cancels; but the gain of each spot changes with it, by which reference slopes of 72 nm of NCPA
 /// move Keck's mirror by 5 nm RMS in means over 0.25 s, by 1.6 nm over 3 s, and by 0.9 nm in these (as the root of the time).
 const AVERAGED_S: f64 = 10.0;
-
-/// Settings of a loop without the sensor's noise, which does not cancel: other spots make other draws of it.
-const NO_NOISE: [(&str, &str); 2] =
-    [("wavefront_sensor.photon_noise", "false"), ("wavefront_sensor.read_noise_e", "0.0")];
 
 impl Simulator {
     /// The system of `scene` with the aberrations of `truth`, its loop settled about reference slopes that are further by `moved_mas` (`[all
@@ -28,9 +25,10 @@ impl Simulator {
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of slopes; as [`Simulator::with_truth`].
-    pub fn with_moved_reference(scene: &Scene, telescope: Telescope, truth: Truth, moved_mas: &[f64]) -> Result<Self> {
-        let noise_free = scene.with(&NO_NOISE)?;
-        let build = |scene: &Scene| Self::with_truth(scene, telescope.clone(), truth.clone());
+    pub fn with_moved_reference(scene: &System, telescope: Telescope, truth: Truth, moved_mas: &[f64]) -> Result<Self> {
+        // Noise would not cancel: other spots make other draws of it.
+        let noise_free = scene.with(take_noise)?;
+        let build = |scene: &System| Self::with_truth(scene, telescope.clone(), truth.clone());
         let plain_nm = build(&noise_free)?.settled_commands_nm()?;
         let mut probe = build(&noise_free)?;
         probe.move_reference(moved_mas)?;
@@ -81,7 +79,8 @@ impl Simulator {
 #[cfg(test)]
 mod tests {
     use crate::ao::testing::small;
-    use crate::ao::{Simulator, UNDISTURBED_LOOP, View};
+    use crate::ao::{Simulator, View, undisturb};
+    use crate::scene::System;
     use crate::source::{Truth, stream};
     use crate::telescope::Telescope;
     use ndarray::{Array1, Array2};
@@ -96,14 +95,13 @@ mod tests {
         shape * (15.0 / rms)
     }
 
-    fn moved(settings: &[(&str, &str)]) -> (Simulator, Simulator, Array1<f64>) {
-        let scene = small("", settings);
-        let plain = Simulator::new(&scene).unwrap();
+    fn moved(scene: &System) -> (Simulator, Simulator, Array1<f64>) {
+        let plain = Simulator::new(scene).unwrap();
         let commands_nm = shape_nm(&plain);
         let moved_mas = plain.interaction().dot(&commands_nm).mapv(|mas| -mas).to_vec();
-        let telescope = Telescope::new(&scene).unwrap();
-        let truth = Truth::draw(&scene, &telescope, &mut stream(3, 0)).unwrap();
-        let system = Simulator::with_moved_reference(&scene, telescope, truth, &moved_mas).unwrap();
+        let telescope = Telescope::new(scene).unwrap();
+        let truth = Truth::draw(scene, &telescope, &mut stream(3, 0)).unwrap();
+        let system = Simulator::with_moved_reference(scene, telescope, truth, &moved_mas).unwrap();
         (plain, system, commands_nm)
     }
 
@@ -123,8 +121,8 @@ mod tests {
     fn mirror_takes_the_sent_shape_and_the_camera_images_it() {
         // Steps between segments would lower the gain of the quad cells that see them, by some 5 % in all.
         let even = ["aberrations.segment_piston_rms_nm", "aberrations.segment_tip_tilt_rms_nm"].map(|key| (key, "0"));
-        let settings = [&UNDISTURBED_LOOP[..], &even].concat();
-        let (plain, mut system, commands_nm) = moved(&settings);
+        let scene = small("", &even).system().with(undisturb).unwrap();
+        let (plain, mut system, commands_nm) = moved(&scene);
         let found = amplitude(&plain, &system, &commands_nm);
         println!("undisturbed: {found:.4} of what was sent");
         // The loop controls focus, with singular values that are filtered left out.
@@ -144,7 +142,6 @@ mod tests {
         let mut camera = system.camera(view).unwrap();
         let residual_nm = (0..20).map(|_| system.step().unwrap().residual_nm.to_vec()).next_back().unwrap();
         let seen: Array2<f32> = camera.psf(&residual_nm);
-        let scene = small("", &settings);
         let mut still = Simulator::new(&scene).unwrap();
         let segments_nm = (0..200).map(|_| still.step().unwrap().residual_nm.to_vec()).next_back().unwrap();
         let before = still.camera(view).unwrap().psf(&segments_nm);
@@ -158,7 +155,7 @@ mod tests {
 
     #[test]
     fn spots_that_turbulence_blurs_move_the_mirror_further() {
-        let (plain, system, commands_nm) = moved(&[]);
+        let (plain, system, commands_nm) = moved(&small("", &[]));
         let found = amplitude(&plain, &system, &commands_nm);
         println!("behind turbulence: {found:.3} of what was sent");
         // 1.85: the slope of a quad cell is the shift over the size of its spot. Sharp spots have 0.99; a move that acted twice would have 3.7.

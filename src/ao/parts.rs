@@ -7,7 +7,7 @@ use crate::Result;
 use crate::machine;
 use crate::modes::InfluenceFunctions;
 use crate::pupil::{Grid, Pupil};
-use crate::scene::{Scene, SensorScene};
+use crate::scene::{SensorScene, System};
 use crate::source::Truth;
 use crate::telescope::Telescope;
 
@@ -24,7 +24,7 @@ const BYTES_PER_LAYER_SAMPLE: u64 = 16;
 ///
 /// # Errors
 /// [`crate::Error::Value`] for a grid that is larger than the machine's memory; those of [`Telescope::pupil_on`].
-pub fn sensor_pupil(scene: &Scene, sensing: &SensorScene, telescope: &Telescope, layers: usize) -> Result<Pupil> {
+pub fn sensor_pupil(scene: &System, sensing: &SensorScene, telescope: &Telescope, layers: usize) -> Result<Pupil> {
     let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
     machine::check_memory(
         format_args!(
@@ -42,7 +42,7 @@ pub fn sensor_pupil(scene: &Scene, sensing: &SensorScene, telescope: &Telescope,
 ///
 /// # Errors
 /// [`crate::Error::File`] for a map of actuators or influence functions that cannot be read; those of building the pupil and the lenslets.
-pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<InfluenceFunctions> {
+pub fn actuators_in_use(scene: &System, telescope: &Telescope) -> Result<InfluenceFunctions> {
     if let Some(mapped) = Telescope::mapped_actuators(scene)? {
         return telescope.measured_influence(scene, mapped);
     }
@@ -57,7 +57,7 @@ pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<Influenc
 /// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
 /// sensor measures an actuator farther out only at the edge of a subaperture, and the noise of its command would be a
 /// hundred times that of the others.
-pub(crate) fn actuators(scene: &Scene, lenslets: &Lenslets, telescope: &Telescope) -> Result<InfluenceFunctions> {
+pub(crate) fn actuators(scene: &System, lenslets: &Lenslets, telescope: &Telescope) -> Result<InfluenceFunctions> {
     let chosen = match Telescope::mapped_actuators(scene)? {
         Some(mapped) => mapped,
         None => at_subapertures(scene, lenslets)?,
@@ -66,7 +66,7 @@ pub(crate) fn actuators(scene: &Scene, lenslets: &Lenslets, telescope: &Telescop
 }
 
 /// Actuators at a corner of a subaperture in use.
-fn at_subapertures(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
+fn at_subapertures(scene: &System, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
     let mirror = Telescope::mirror(scene)?;
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
@@ -106,6 +106,7 @@ pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, f
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn finer_subapertures_leave_the_actuators_at_the_rim_in_use() {

@@ -1,6 +1,6 @@
 //! Schedule of the exposures of a run, in frames of the loop.
 
-use crate::scene::{ImageScene, Scene};
+use crate::scene::{ImageScene, System};
 use crate::{Error, Result};
 use std::ops::Range;
 
@@ -50,7 +50,7 @@ impl Schedule {
     ///
     /// # Errors
     /// [`Error::Scene`] for simultaneous channels with other numbers or times of exposures.
-    pub fn new(scene: &Scene, settle_s: f64, rate_hz: f64) -> Result<Self> {
+    pub fn new(scene: &System, settle_s: f64, rate_hz: f64) -> Result<Self> {
         let channels = scene.channels();
         let sequences = if scene.image.simultaneous || channels.is_empty() {
             check_simultaneous(scene)?;
@@ -58,7 +58,7 @@ impl Schedule {
         } else {
             let mut start_s = settle_s;
             let each = channels.iter().enumerate().map(|(number, channel)| {
-                let sequence = Sequence::new(number..number + 1, &channel.scene.image, start_s, rate_hz);
+                let sequence = Sequence::new(number..number + 1, &channel.system.image, start_s, rate_hz);
                 start_s += sequence.images as f64 * sequence.interval_s;
                 sequence
             });
@@ -105,13 +105,13 @@ impl Sequence {
 }
 
 /// Refuses channels that cannot be exposed together.
-fn check_simultaneous(scene: &Scene) -> Result<()> {
+fn check_simultaneous(scene: &System) -> Result<()> {
     let [first, others @ ..] = scene.channels() else { return Ok(()) };
     let keys = |image: &ImageScene| {
         [("count", image.count as f64), ("exposure_s", image.exposure_s), ("interval_s", image.interval_s)]
     };
     for channel in others {
-        let mut pairs = keys(&channel.scene.image).into_iter().zip(keys(&first.scene.image));
+        let mut pairs = keys(&channel.system.image).into_iter().zip(keys(&first.system.image));
         if let Some(((key, own), (_, other))) = pairs.find(|((_, own), (_, other))| own != other) {
             return Err(Error::Scene(format!(
                 "{}: channel '{}' has image.{key} = {own} and channel '{}' {other}: with image.simultaneous = true one value for \

@@ -22,7 +22,7 @@ use super::sensor::{GuideStar, Lenslets, Sensor, SlopeFormat, reference_mas};
 use super::surface::Surface;
 use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
-use crate::scene::{ControlBasis, ControlScene, OpticalGainMethod, Scene, SensorMask, SensorScene};
+use crate::scene::{ControlBasis, ControlScene, OpticalGainMethod, SensorMask, SensorScene, System};
 use crate::source::{Truth, stream};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -41,7 +41,7 @@ const LARGEST_LIGHT_FILTERED: f64 = 0.0015;
 
 /// AO simulation: telescope, turbulence, loop and science camera of a scene.
 pub struct Simulator {
-    pub(super) scene: Scene,
+    pub(super) scene: System,
     telescope: Telescope,
     /// Pupil on the simulator's grid.
     pupil: Pupil,
@@ -62,7 +62,7 @@ pub struct Simulator {
 }
 
 /// Sections of a scene that the loop requires: sensor and control.
-pub(super) fn sections(scene: &Scene) -> Result<(&SensorScene, &ControlScene)> {
+pub(super) fn sections(scene: &System) -> Result<(&SensorScene, &ControlScene)> {
     let missing = |section: &str| {
         Error::Scene(format!("{}: the section [{section}] is missing; an AO loop needs it", scene.name()))
     };
@@ -78,7 +78,7 @@ impl Simulator {
     /// # Errors
     /// [`Error::Scene`] for a scene without a sensor or control, and for simultaneous channels with other numbers or times of
     /// exposures; the errors of building each part.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &System) -> Result<Self> {
         let telescope = Telescope::new(scene)?;
         let seed = scene.seed();
         let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
@@ -89,7 +89,7 @@ impl Simulator {
     ///
     /// # Errors
     /// As [`Simulator::new`].
-    pub fn with_truth(scene: &Scene, telescope: Telescope, truth: Truth) -> Result<Self> {
+    pub fn with_truth(scene: &System, telescope: Telescope, truth: Truth) -> Result<Self> {
         let (sensing, control_scene) = sections(scene)?;
         let schedule = Schedule::new(scene, control_scene.settle_s, control_scene.frame_rate_hz)?;
         let pupil = sensor_pupil(scene, sensing, &telescope, scene.turbulence.fractions.len())?;
@@ -255,7 +255,7 @@ impl Simulator {
     }
 
     /// The scene.
-    pub fn scene(&self) -> &Scene {
+    pub fn scene(&self) -> &System {
         &self.scene
     }
 

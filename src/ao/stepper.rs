@@ -5,7 +5,7 @@ use super::correction::Frame;
 use super::detector::Detector;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::simulator::{Simulator, sections};
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::Array2;
 
@@ -28,7 +28,7 @@ impl Stepper {
     ///
     /// # Errors
     /// Those of [`Simulator::new`] and of its camera; [`Error::Scene`] for a scene with channels.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &System) -> Result<Self> {
         let (sensing, _) = sections(scene)?;
         scene.refuse_channels("steps of the AO simulator")?;
         let simulator = Simulator::new(scene)?;
@@ -107,6 +107,7 @@ mod tests {
     use super::*;
     use crate::ao::testing::small;
     use crate::ao::{Progress, Shot};
+    use crate::scene::Scene;
 
     fn scene(settings: &[(&str, &str)]) -> Scene {
         small("", settings)

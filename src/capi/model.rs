@@ -158,7 +158,8 @@ pub unsafe extern "C" fn cophase_model_create(
         let estimator = if arrays.is_null() {
             let scene = Scene::from_text(scene_text, directory)?;
             // Bad pixels are known frame by frame only: a scene for a camera that has some sets estimate.sampling.
-            ModalFitter::new(&planner::resolve(&scene, None)?, false)?
+            let resolved = planner::resolve(&scene, None)?;
+            ModalFitter::new(&resolved, false)?
         } else {
             let scene = Scene::for_arrays(scene_text, directory)?;
             let arrays = unsafe { sized::read(arrays, "arrays") }?;

@@ -7,25 +7,12 @@
 use super::mirror_shape::MirrorShape;
 use super::segment_surface::SegmentSurface;
 use crate::Result;
-use crate::ao::{LoopAtRest, Simulator, UNDISTURBED_LOOP};
+use crate::ao::{LoopAtRest, Simulator, undisturb};
 use crate::retrieval::IlluminatedSamples;
-use crate::scene::Scene;
+use crate::scene::{Sections, System};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 use std::ops::Range;
-
-/// Settings that switch off all aberrations of the scene.
-const NO_ABERRATIONS: [(&str, &str); 9] = [
-    ("aberrations.ncpa_file", ""),
-    ("aberrations.segment_piston_rms_nm", "0.0"),
-    ("aberrations.segment_tip_tilt_rms_nm", "0.0"),
-    ("faults.segment_reflectivity_rms", "0.0"),
-    ("aberrations.ncpa_rms_nm", "0.0"),
-    ("aberrations.petal_piston_rms_nm", ""),
-    ("aberrations.petal_tip_tilt_rms_nm", ""),
-    ("aberrations.petal_coefficients_nm", ""),
-    ("faults.drift_nm_per_min", "0.0"),
-];
 
 /// Piston, or RMS of a tip or tilt, with which the linear part is measured, nm.
 const POKE_NM: f64 = 20.0;
@@ -53,10 +40,11 @@ impl ClosedLoopResponse {
     ///
     /// # Errors
     /// Those of [`Simulator::new`].
-    pub fn new(scene: &Scene, samples: &IlluminatedSamples) -> Result<Self> {
-        let aberrations = scene.aberrations.iter().flat_map(|_| NO_ABERRATIONS);
-        let settings: Vec<_> = UNDISTURBED_LOOP.into_iter().chain(aberrations).collect();
-        let simulator = Simulator::new(&scene.with(&settings)?)?;
+    pub fn new(scene: &System, samples: &IlluminatedSamples) -> Result<Self> {
+        let simulator = Simulator::new(&scene.with(|sections| {
+            undisturb(sections);
+            flatten(sections);
+        })?)?;
         let (stride, pupil) = (simulator.footprint().stride(), simulator.pupil());
         let owned: Vec<_> = pupil.owned_samples().collect();
         let surface = SegmentSurface::new(&owned, pupil, &simulator.telescope().pupil);
@@ -138,4 +126,20 @@ impl ClosedLoopResponse {
         })?;
         Ok(responses)
     }
+}
+
+/// Takes away all aberrations.
+fn flatten(sections: &mut Sections) {
+    let Some(aberrations) = &mut sections.aberrations else { return };
+    (aberrations.ncpa_file, aberrations.petal_coefficients_nm) = (None, None);
+    for rms_nm in [
+        &mut aberrations.segment_piston_rms_nm,
+        &mut aberrations.segment_tip_tilt_rms_nm,
+        &mut aberrations.ncpa_rms_nm,
+        &mut aberrations.petal_piston_rms_nm,
+        &mut aberrations.petal_tip_tilt_rms_nm,
+    ] {
+        *rms_nm = 0.0;
+    }
+    (sections.faults.segment_reflectivity_rms, sections.faults.drift_nm_per_min) = (0.0, 0.0);
 }

@@ -5,7 +5,7 @@
 //! names, scales and limits the rows of the matrix. A matrix of the segments may have columns for tips and tilts after the pistons'.
 
 use crate::io::{Column, TextRow, TextTable, read_map, read_text};
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::collections::BTreeSet;
@@ -111,7 +111,7 @@ struct Channel {
 /// # Errors
 /// [`Error::File`] for a table or a matrix that cannot be read, that does not fit the elements, or that leaves one out.
 pub(super) fn commands(
-    scene: &Scene,
+    scene: &System,
     moved: Moved,
     additions_nm: &[f64],
     tilts_nm: &[f64],

@@ -4,7 +4,7 @@ use super::corrections::Corrections;
 use crate::ao::{Simulator, actuators_in_use};
 use crate::io::FitsReader;
 use crate::modes::SmoothBasis;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::source::{Truth, stream};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -54,7 +54,7 @@ impl SentCorrections {
     ///
     /// # Errors
     /// [`Error::Shape`] for corrections of another number of segments or actuators than `scene` has; those of building the mirror.
-    pub fn apply(&self, truth: Truth, scene: &Scene, telescope: &Telescope) -> Result<Truth> {
+    pub fn apply(&self, truth: Truth, scene: &System, telescope: &Telescope) -> Result<Truth> {
         let truth = self.move_segments(truth, telescope)?;
         if self.actuators_nm.iter().all(|nm| *nm == 0.0) {
             return Ok(truth);
@@ -70,7 +70,7 @@ impl SentCorrections {
     ///
     /// # Errors
     /// As [`SentCorrections::apply`] and [`Simulator::with_moved_reference`].
-    pub fn system(sent: &[Self], scene: &Scene) -> Result<Simulator> {
+    pub fn system(sent: &[Self], scene: &System) -> Result<Simulator> {
         let telescope = Telescope::new(scene)?;
         let seed = scene.seed();
         let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;

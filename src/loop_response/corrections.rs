@@ -14,7 +14,7 @@ pub use errors::{CorrectableErrors, NcpaModes};
 
 use super::controller::{Commands, Moved, commands};
 use crate::ao::actuators_in_use;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::{SegmentPlace, Telescope};
 use crate::tracking::{CorrectionPolicy, Held, HoldReason};
 use crate::{Error, Result};
@@ -89,7 +89,7 @@ impl Corrections {
     /// # Errors
     /// [`Error::Value`] for a limit that is not positive; [`Error::File`] for a controller that does not fit; those of building the
     /// scene's loop.
-    pub fn new(scene: &Scene, errors: &CorrectableErrors, limit_nm: Option<f64>) -> Result<Self> {
+    pub fn new(scene: &System, errors: &CorrectableErrors, limit_nm: Option<f64>) -> Result<Self> {
         if let Some(limit_nm) = limit_nm.filter(|limit_nm| !(limit_nm.is_finite() && *limit_nm > 0.0)) {
             return Err(Error::Value(format!("a limit of {limit_nm} nm was given: a positive one is needed")));
         }
@@ -169,7 +169,7 @@ impl Corrections {
     ///
     /// # Errors
     /// [`Error::File`] as [`Corrections::new`]; those of building the telescope.
-    pub fn check_controllers(scene: &Scene) -> Result<()> {
+    pub fn check_controllers(scene: &System) -> Result<()> {
         let telescope = Telescope::new(scene)?;
         commands(scene, Moved::Segments, &vec![0.0; telescope.pupil.segments.len()], &[])?;
         if scene.has_mirror() {

@@ -19,7 +19,7 @@ use crate::machine;
 use crate::modes::{InfluenceFunctions, Samples, SmoothBasis};
 use crate::pupil::Grid;
 use crate::retrieval::IlluminatedSamples;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use interpolation::{interpolated, interpolation};
@@ -89,7 +89,7 @@ impl SensorModel {
     /// # Errors
     /// [`Error::Scene`] for a scene without a sensor; those of building it.
     pub fn new(
-        scene: &Scene,
+        scene: &System,
         telescope: &Telescope,
         samples: &IlluminatedSamples,
         basis: &SmoothBasis,

@@ -149,8 +149,8 @@ mod tests {
     #[test]
     fn few_values_and_opposite_neighbours_change_nothing() {
         let alternating = Array2::from_shape_fn((10, 3), |(image, _)| if image % 2 == 0 { 1.0 } else { -1.0 });
-        assert_eq!(mean_variance_factors(alternating.view()), Array1::ones(3));
-        assert_eq!(mean_variance_factors(sequence(0.9, 0.0, 5, 3).view()), Array1::ones(3));
-        assert_eq!(mean_variance_factors(Array2::zeros((10, 2)).view()), Array1::ones(2));
+        assert_eq!(mean_variance_factors(alternating.view()), Array1::<f64>::ones(3));
+        assert_eq!(mean_variance_factors(sequence(0.9, 0.0, 5, 3).view()), Array1::<f64>::ones(3));
+        assert_eq!(mean_variance_factors(Array2::zeros((10, 2)).view()), Array1::<f64>::ones(2));
     }
 }

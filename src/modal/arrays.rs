@@ -7,7 +7,7 @@ use super::model::Model;
 use super::recipe::Recipe;
 use crate::modes::{Basis, Group};
 use crate::pupil::Pupil;
-use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
+use crate::scene::{NcpaBasis, NollRange, SegmentModes, System};
 use crate::telescope::{Diversity, MapOnGrid, Telescope, continued};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayViewMut2};
@@ -50,7 +50,7 @@ impl ModalFitter {
     /// outside \[0, 1\], a pupil without illuminated samples, labels that leave out an illuminated sample, modes
     /// or a diversity that are not finite at an illuminated sample, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
     /// pupil; those of [`Model::new`].
-    pub fn from_arrays(scene: &Scene, arrays: &Arrays) -> Result<Self> {
+    pub fn from_arrays(scene: &System, arrays: &Arrays) -> Result<Self> {
         refuse_budget(scene)?;
         refuse_fit_optics(scene)?;
         refuse_full_phase(scene)?;
@@ -67,7 +67,7 @@ impl ModalFitter {
     }
 }
 
-fn build_modes(scene: &Scene, arrays: &Arrays, recipe: &Recipe, telescope: &Telescope) -> Result<ModeSet> {
+fn build_modes(scene: &System, arrays: &Arrays, recipe: &Recipe, telescope: &Telescope) -> Result<ModeSet> {
     let segment = segment_modes(scene, arrays)?;
     if let Some(maps) = &arrays.modes {
         if scene.modes.petals != SegmentModes::None {
@@ -99,7 +99,7 @@ fn build_modes(scene: &Scene, arrays: &Arrays, recipe: &Recipe, telescope: &Tele
 
 /// Motions of the labelled segments. Pistons are the scene's default, so that pistons without labels are no error; tips and
 /// tilts without labels are one.
-fn segment_modes(scene: &Scene, arrays: &Arrays) -> Result<SegmentModes> {
+fn segment_modes(scene: &System, arrays: &Arrays) -> Result<SegmentModes> {
     match (scene.modes.segment, &arrays.segments) {
         (modes, Some(_)) => Ok(modes),
         (SegmentModes::PistonTipTilt, None) => Err(Error::Value(

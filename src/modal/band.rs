@@ -4,7 +4,7 @@
 //! it look alike in a band, and one wavelength at the mean has no error of the first order in the filter's width.
 
 use crate::imaging::Colour;
-use crate::scene::{Optimizer, Scene};
+use crate::scene::{Optimizer, System};
 use crate::telescope::{Diversity, Filter, Telescope};
 use crate::{Error, Result};
 
@@ -23,7 +23,7 @@ pub(super) struct ModelLight {
 ///
 /// # Errors
 /// [`Error::Scene`] for several wavelengths of a filter without width; those of [`Filter::new`].
-pub(super) fn light(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> Result<ModelLight> {
+pub(super) fn light(scene: &System, telescope: &Telescope, diversity: &Diversity) -> Result<ModelLight> {
     let filter = Filter::new(scene)?;
     let count = match scene.estimate.wavelengths {
         Some(count) if count > 1 && filter.is_monochromatic() => {
@@ -49,7 +49,7 @@ pub(super) fn light(scene: &Scene, telescope: &Telescope, diversity: &Diversity)
 ///
 /// # Errors
 /// Those of building the telescope.
-pub(super) fn enough_beyond(scene: &Scene) -> Result<usize> {
+pub(super) fn enough_beyond(scene: &System) -> Result<usize> {
     let telescope = Telescope::new(scene)?;
     let needed = Filter::new(scene)?.wavelengths_needed(scene, &telescope, &Diversity::new(scene, &telescope)?);
     Ok((needed + needed.div_ceil(2)).min(MAX_WAVELENGTHS))
@@ -58,6 +58,7 @@ pub(super) fn enough_beyond(scene: &Scene) -> Result<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn number_of_wavelengths_comes_from_the_scene_or_its_filter() {

@@ -10,7 +10,7 @@ use super::model::Model;
 use crate::modes::Basis;
 use crate::optimize::Metric;
 use crate::pupil::Pupil;
-use crate::scene::{ImageScene, Scene};
+use crate::scene::{ImageScene, System};
 use crate::telescope::{Diversity, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, s};
@@ -99,7 +99,7 @@ impl DiversityProjection {
     ///
     /// # Errors
     /// [`Error::File`] for a map of the diversity that cannot be read.
-    pub fn new(scene: &Scene, telescope: &Telescope, basis: &Basis, segment_modes: usize) -> Result<Self> {
+    pub fn new(scene: &System, telescope: &Telescope, basis: &Basis, segment_modes: usize) -> Result<Self> {
         let pupil = &telescope.pupil;
         let diversity = Diversity::new(scene, telescope)?;
         let coordinate = |at: usize| pupil.grid.coordinate_m(at);
@@ -176,7 +176,7 @@ pub fn check_reachable(wanted_nm: f64, shared_nm2: f64) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::File`] for a map of it that cannot be read.
-pub(super) fn project_diversity(model: &Model, scene: &Scene) -> Result<DiversityProjection> {
+pub(super) fn project_diversity(model: &Model, scene: &System) -> Result<DiversityProjection> {
     DiversityProjection::new(scene, &model.telescope, &model.basis, model.segment_modes)
 }
 
@@ -184,7 +184,7 @@ pub(super) fn project_diversity(model: &Model, scene: &Scene) -> Result<Diversit
 ///
 /// # Errors
 /// [`Error::Scene`] where the modes do not span the diversity.
-pub(super) fn shared_error(model: &Model, scene: &Scene) -> Result<Option<SharedError>> {
+pub(super) fn shared_error(model: &Model, scene: &System) -> Result<Option<SharedError>> {
     let fraction = scene.estimate.diversity_error;
     if fraction == 0.0 {
         return Ok(None);

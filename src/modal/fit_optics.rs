@@ -23,10 +23,10 @@ use super::fitter::ModalFitter;
 use super::model_cache::ModelCache;
 use super::recipe::Recipe;
 use crate::optimize::CancelFlag;
-use crate::scene::{Optic, Scene};
+use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
-use parameter::{Parameter, starts};
+use parameter::{FittedParameter, starts};
 use search::Search;
 use std::sync::OnceLock;
 
@@ -40,7 +40,7 @@ const MAX_IMAGES: usize = 6;
 /// Those of [`ModalFitter::new`] and of fits; [`Error::Scene`] for parameters that the scene does not have;
 /// [`Error::Interrupted`].
 pub(super) fn estimator(
-    scene: &Scene,
+    scene: &System,
     recipe: &Recipe,
     cube: Cube,
     native: bool,
@@ -66,7 +66,7 @@ const WORTH_FITTING: f64 = 0.2;
 /// # Errors
 /// As [`estimator`].
 pub(crate) fn explaining_fit(
-    scene: &Scene,
+    scene: &System,
     recipe: &Recipe,
     cache: &ModelCache,
     cube: Cube,
@@ -116,7 +116,7 @@ pub(crate) struct OpticsStart<'a> {
 /// # Errors
 /// As [`estimator`].
 pub(crate) fn fit_together(
-    scene: &Scene,
+    scene: &System,
     recipe: &Recipe,
     cache: &ModelCache,
     cube: Cube,
@@ -127,7 +127,8 @@ pub(crate) fn fit_together(
     with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
         let mut elsewhere = own.clone();
         for &(optic, value) in start.values {
-            let is_it = |parameter: &Parameter| matches!(parameter, Parameter::Number(of, _) if *of == optic);
+            let is_it =
+                |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of) if of.optic == optic);
             if let Some(at) = search.parameters.iter().position(is_it) {
                 elsewhere[at] = value;
             }
@@ -149,7 +150,7 @@ pub(crate) fn fit_together(
 
 /// Runs `search` on the parameters that `scene` names, whose values it is given.
 fn with_search<T>(
-    scene: &Scene,
+    scene: &System,
     recipe: &Recipe,
     cache: &ModelCache,
     cube: Cube,
@@ -161,10 +162,11 @@ fn with_search<T>(
     let starts = starts(scene, recipe)?;
     let parameters = starts.iter().map(|start| start.parameter).collect();
     let (own, steps): (Vec<f64>, Vec<f64>) = starts.iter().map(|start| (start.value, start.step)).unzip();
-    let mut fixed = scene.with(&[("estimate.fit_optics", "[]")])?;
+    let mut fixed = scene.with(|sections| sections.estimate.fit_optics.clear())?;
     if optics.contains(&Optic::Bandwidth) && scene.estimate.wavelengths.is_none() {
         // The same number for all widths, so that it does not change between iterations.
-        fixed = fixed.with(&[("estimate.wavelengths", &band::enough_beyond(&fixed)?.to_string())])?;
+        let wavelengths = band::enough_beyond(&fixed)?;
+        fixed = fixed.with(|sections| sections.estimate.wavelengths = Some(wavelengths))?;
     }
     let recipe = recipe.clone();
     // Another plate scale would need another reduction.

@@ -14,7 +14,7 @@ use super::tilts::Tilts;
 use crate::imaging::CpuChain;
 use crate::modes::Direction;
 use crate::optimize::CancelFlag;
-use crate::scene::{Method, PupilScene, Scene};
+use crate::scene::{Method, PupilScene, System};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
@@ -23,7 +23,7 @@ use std::sync::Arc;
 /// Fits static modes to images of one scene, and combines the images. A clone shares the model.
 #[derive(Clone)]
 pub struct ModalFitter {
-    pub(super) scene: Scene,
+    pub(super) scene: System,
     pub(super) recipe: Recipe,
     pub(super) model: Arc<Model>,
     /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it for every chain that fits.
@@ -48,7 +48,7 @@ impl fmt::Debug for ModalFitter {
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub(super) fn refuse_budget(scene: &Scene) -> Result<()> {
+pub(super) fn refuse_budget(scene: &System) -> Result<()> {
     match scene.estimate.budget_nm {
         None => Ok(()),
         Some(budget_nm) => Err(Error::Scene(format!(
@@ -62,7 +62,7 @@ pub(super) fn refuse_budget(scene: &Scene) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub(super) fn refuse_fit_optics(scene: &Scene) -> Result<()> {
+pub(super) fn refuse_fit_optics(scene: &System) -> Result<()> {
     if scene.estimate.fit_optics.is_empty() {
         return Ok(());
     }
@@ -77,7 +77,7 @@ pub(super) fn refuse_fit_optics(scene: &Scene) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub(super) fn refuse_full_phase(scene: &Scene) -> Result<()> {
+pub(super) fn refuse_full_phase(scene: &System) -> Result<()> {
     match scene.estimate.method {
         Method::Modal => Ok(()),
         Method::FullPhase | Method::Auto => Err(Error::Scene(
@@ -90,15 +90,15 @@ pub(super) fn refuse_full_phase(scene: &Scene) -> Result<()> {
 }
 
 /// Whether two scenes have the same Karhunen-Loève basis.
-pub(super) fn same_basis(one: &Scene, other: &Scene) -> bool {
-    let telescope = |scene: &Scene| {
+pub(super) fn same_basis(one: &System, other: &System) -> bool {
+    let telescope = |scene: &System| {
         let (samples, model) = (0, None);
         // The basis does not depend on the illumination.
         let (illumination_x, illumination_y, illumination_edge) = (0.0, 0.0, 0.0);
         let even = PupilScene { illumination_x, illumination_y, illumination_edge, ..scene.pupil.clone() };
         PupilScene { samples, model, band_pass_cycles: None, band_stop_cycles: None, ..even }
     };
-    let modes = |scene: &Scene| (scene.modes.ncpa.clone(), scene.modes.ncpa_count);
+    let modes = |scene: &System| (scene.modes.ncpa.clone(), scene.modes.ncpa_count);
     telescope(one) == telescope(other)
         && modes(one) == modes(other)
         && one.mirror == other.mirror
@@ -113,7 +113,7 @@ impl ModalFitter {
     ///
     /// # Errors
     /// Those of building the telescope, its modes and its pupil; see [`Model::new`].
-    pub fn new(scene: &Scene, native: bool) -> Result<Self> {
+    pub fn new(scene: &System, native: bool) -> Result<Self> {
         Self::with_recipe(scene, Recipe::from_scene(scene), native)
     }
 
@@ -121,7 +121,7 @@ impl ModalFitter {
     ///
     /// # Errors
     /// As [`ModalFitter::new`].
-    pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
+    pub fn with_recipe(scene: &System, recipe: Recipe, native: bool) -> Result<Self> {
         Self::with_scene_basis(scene, recipe, native, Arc::default())
     }
 
@@ -131,13 +131,13 @@ impl ModalFitter {
     ///
     /// # Errors
     /// As [`ModalFitter::new`].
-    pub fn variant(&self, scene: &Scene, recipe: Recipe) -> Result<Self> {
+    pub fn variant(&self, scene: &System, recipe: Recipe) -> Result<Self> {
         let scene_basis = if same_basis(&self.scene, scene) { self.scene_basis.clone() } else { Arc::default() };
         Self::with_scene_basis(scene, recipe, false, scene_basis)
     }
 
     pub(super) fn with_scene_basis(
-        scene: &Scene,
+        scene: &System,
         recipe: Recipe,
         native: bool,
         scene_basis: Arc<SceneBasis>,
@@ -149,7 +149,7 @@ impl ModalFitter {
         Ok(Self { scene_basis, ..Self::from_model(scene, recipe, model)? })
     }
 
-    pub(super) fn from_model(scene: &Scene, recipe: Recipe, model: Model) -> Result<Self> {
+    pub(super) fn from_model(scene: &System, recipe: Recipe, model: Model) -> Result<Self> {
         Ok(Self {
             scene: scene.clone(),
             reference: Arc::new(CpuChain::new(model.optics.clone())),
@@ -165,8 +165,8 @@ impl ModalFitter {
     }
 
     /// Whether this fitter was made for `scene` and `recipe`.
-    pub(super) fn is_of(&self, scene: &Scene, recipe: &Recipe) -> bool {
-        self.recipe == *recipe && self.scene.text() == scene.text() && self.scene.directory() == scene.directory()
+    pub(super) fn is_of(&self, scene: &System, recipe: &Recipe) -> bool {
+        self.recipe == *recipe && *self.scene == **scene && self.scene.directory() == scene.directory()
     }
 
     /// The model of the images.
@@ -185,7 +185,7 @@ impl ModalFitter {
     }
 
     /// The scene.
-    pub fn scene(&self) -> &Scene {
+    pub fn scene(&self) -> &System {
         &self.scene
     }
 

@@ -26,7 +26,7 @@ use super::fitter::ModalFitter;
 use super::integers::{self, ColourChannel, PistonInteger};
 use super::pistons;
 use super::tilts::spanned_tip_and_tilt;
-use crate::scene::{Optic, Scene};
+use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate, s};
 
@@ -80,7 +80,7 @@ struct Likelihood {
 
 /// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale` times those of their noise.
 fn resolve(
-    scene: &Scene,
+    scene: &System,
     likelihoods: &mut [Likelihood],
     wavelengths_nm: &[f64],
     pistons: usize,
@@ -104,7 +104,7 @@ fn resolve(
 /// # Errors
 /// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do not span;
 /// [`Error::Value`] where no mode changes the images.
-pub(crate) fn joint(scene: &Scene, channels: &[ChannelFit]) -> Result<JointEstimate> {
+pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (modes, model) = (first.model.optics.modes(), &first.model);
     if let Some((other, _)) = channels.iter().find(|(fitter, _)| fitter.model.basis.names() != model.basis.names()) {
@@ -193,7 +193,7 @@ impl JointEstimate {
 ///
 /// # Errors
 /// [`Error::Value`] where no mode changes the images.
-pub(crate) fn combine_estimates(scene: &Scene, channels: &[(&ModalFitter, CombinedModes)]) -> Result<CombinedModes> {
+pub(crate) fn combine_estimates(scene: &System, channels: &[(&ModalFitter, CombinedModes)]) -> Result<CombinedModes> {
     let Some((first, reference)) = channels.first() else {
         return Err(Error::Internal("no channel is combined".into()));
     };

@@ -17,7 +17,7 @@ use super::recipe::Recipe;
 use super::session::{FitOptions, ImageResult, Session, SessionOptions};
 use super::status::{Status, worst};
 use crate::optimize::{CancelFlag, StopReason};
-use crate::scene::{Scene, Weighting};
+use crate::scene::{System, Weighting};
 use crate::{Error, Result};
 use combiner::{Combiner, FittedChannel};
 use ndarray::{Array2, ArrayViewMut2};
@@ -34,7 +34,7 @@ use std::time::Instant;
 /// On the CPU with one thread, [`JointSession::fit`] neither allocates nor frees memory, takes no lock and formats no text, except for
 /// an error message.
 pub struct JointSession {
-    scene: Scene,
+    scene: System,
     names: Vec<String>,
     sessions: Vec<Session>,
     combiner: Combiner,
@@ -84,12 +84,12 @@ impl JointSession {
     /// # Errors
     /// [`Error::Scene`] for a scene without channels or with one in focus, and for what a [`ModalFitter`] refuses; those of
     /// [`Session::new`]; [`Error::Value`] for a capacity other than 1.
-    pub fn new(scene: &Scene, options: &SessionOptions) -> Result<Self> {
+    pub fn new(scene: &System, options: &SessionOptions) -> Result<Self> {
         check(scene, options)?;
-        let (cancel, first) = (CancelFlag::default(), &scene.channels()[0].scene);
+        let (cancel, first) = (CancelFlag::default(), &scene.channels()[0].system);
         let cache = ModelCache::default();
         let sessions = scene.channels().iter().map(|channel| {
-            let (own, recipe) = (&channel.scene, Recipe::from_scene(&channel.scene));
+            let (own, recipe) = (&channel.system, Recipe::from_scene(&channel.system));
             if recipe.weighting != Weighting::Noise {
                 return Err(Error::Scene(format!(
                     "{}: a session of several channels needs estimate.weighting = \"noise\", by which they are weighed against each other",
@@ -117,7 +117,7 @@ impl JointSession {
     }
 
     /// The scene.
-    pub fn scene(&self) -> &Scene {
+    pub fn scene(&self) -> &System {
         &self.scene
     }
 
@@ -247,7 +247,7 @@ fn no_channel(given: usize, count: usize) -> Error {
 }
 
 /// Refuses scenes and options that a session of several channels does not have.
-fn check(scene: &Scene, options: &SessionOptions) -> Result<()> {
+fn check(scene: &System, options: &SessionOptions) -> Result<()> {
     let channels = scene.channels();
     if channels.is_empty() {
         return Err(Error::Scene(format!(
@@ -261,7 +261,7 @@ fn check(scene: &Scene, options: &SessionOptions) -> Result<()> {
             options.capacity
         )));
     }
-    match channels.iter().find(|channel| !has_diversity(&channel.scene.image)) {
+    match channels.iter().find(|channel| !has_diversity(&channel.system.image)) {
         None => Ok(()),
         Some(channel) => Err(Error::Scene(format!(
             "{}: the channel '{}' is in focus, where an image does not determine the signs of even aberrations and a fit in real time would \

@@ -19,7 +19,7 @@
 
 use super::recipe::Recipe;
 use crate::machine;
-use crate::scene::{NcpaBasis, NollRange, Scene};
+use crate::scene::{NcpaBasis, NollRange, System};
 use crate::{Error, Result};
 
 /// Memory of a fit of any size: libraries, and the fine pupil on which the moments of a geometric one are computed.
@@ -96,7 +96,7 @@ impl Memory {
 }
 
 /// `estimate.memory_gb` in bytes.
-pub(super) fn limit_bytes(scene: &Scene) -> usize {
+pub(super) fn limit_bytes(scene: &System) -> usize {
     (scene.estimate.memory_gb * 1e9) as usize
 }
 
@@ -104,7 +104,7 @@ pub(super) fn limit_bytes(scene: &Scene) -> usize {
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub(super) fn check_maps(scene: &Scene, recipe: &Recipe) -> Result<()> {
+pub(super) fn check_maps(scene: &System, recipe: &Recipe) -> Result<()> {
     let own = match scene.modes.ncpa {
         NcpaBasis::Kl | NcpaBasis::Zernike => scene.modes.ncpa_count,
         // The number of a file's modes is not known yet: they are checked with the rest.
@@ -136,6 +136,7 @@ fn refusal(what: &str, wanted: usize, limit: usize) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     const MEMORY: Memory = Memory {
         model: 1000,

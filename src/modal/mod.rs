@@ -1,7 +1,7 @@
 //! Modal fits: segment errors and NCPA as coefficients of modes, fitted to images, in nm with error bars.
 //!
 //! ```text
-//! Scene ─ Recipe ─ Model ┐
+//! System ─ Recipe ─ Model ┐
 //!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ prior ─ ModalEstimate
 //! frames ────────────────┘
 //! ```

@@ -7,7 +7,7 @@ use crate::imaging::Mode;
 use crate::io;
 use crate::modes::{self, Basis, Group, SeparableBasis, SmoothBasis};
 use crate::pupil::{Pupil, SegmentWeights};
-use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
+use crate::scene::{NcpaBasis, NollRange, SegmentModes, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
@@ -77,7 +77,7 @@ struct NcpaModes {
 }
 
 impl NcpaModes {
-    fn from_scene(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &SceneBasis) -> Result<Self> {
+    fn from_scene(scene: &System, recipe: &Recipe, telescope: &Telescope, own: &SceneBasis) -> Result<Self> {
         if let NcpaBasis::File(file) = &scene.modes.ncpa {
             return Self::from_maps(from_file(&scene.resolve(file), &telescope.pupil)?, recipe, &telescope.pupil);
         }
@@ -115,7 +115,7 @@ impl NcpaModes {
 impl ModeSet {
     /// The NCPA modes of `scene`, behind those of the segments.
     pub(super) fn from_scene(
-        scene: &Scene,
+        scene: &System,
         segment: SegmentModes,
         recipe: &Recipe,
         telescope: &Telescope,
@@ -171,7 +171,7 @@ pub(super) struct SceneBasis(OnceLock<Option<SmoothBasis>>);
 
 impl SceneBasis {
     /// The basis, built at the first call.
-    fn get_or_build(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
+    fn get_or_build(&self, scene: &System, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
         if let Some(made) = self.0.get() {
             return Ok(made.clone());
         }
@@ -190,7 +190,7 @@ impl SceneBasis {
 
 /// Exact Zernikes first, then what the scene's basis adds to them, and the names of its modes that were dropped.
 fn functions(
-    scene: &Scene,
+    scene: &System,
     recipe: &Recipe,
     telescope: &Telescope,
     own: &SceneBasis,
@@ -218,7 +218,7 @@ fn functions(
 
 /// `before`, then what the petals of `scene` add to them: the last piston, for instance, is in the span of the others and a piston of
 /// the pupil.
-fn with_petals(before: Option<SmoothBasis>, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
+fn with_petals(before: Option<SmoothBasis>, scene: &System, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
     match (before, telescope.petals(scene.modes.petals)?) {
         (before, None) => Ok(before),
         (before, Some(petals)) => {

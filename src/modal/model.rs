@@ -10,7 +10,7 @@ use crate::fourier::Sampling;
 use crate::imaging::{Mode, Optics, OpticsParts};
 use crate::modes::{self, Basis, Group};
 use crate::pupil::{Pupil, SegmentWeights};
-use crate::scene::{PupilModel, Scene};
+use crate::scene::{PupilModel, System};
 use crate::telescope::{Diversity, Telescope, pixel_response};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -45,7 +45,7 @@ impl Model {
     ///
     /// # Errors
     /// Those of the modules below, for files that cannot be read and bases that cannot be built.
-    pub fn new(scene: &Scene, recipe: &Recipe, native: bool) -> Result<Self> {
+    pub fn new(scene: &System, recipe: &Recipe, native: bool) -> Result<Self> {
         Self::with_scene_basis(scene, recipe, native, &SceneBasis::default())
     }
 
@@ -54,7 +54,7 @@ impl Model {
     ///
     /// # Errors
     /// As [`Model::new`].
-    pub fn with_telescope(scene: &Scene, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
+    pub fn with_telescope(scene: &System, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
         memory::check_maps(scene, recipe)?;
         let diversity = Diversity::new(scene, &telescope)?;
         let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &telescope, &SceneBasis::default())?;
@@ -62,7 +62,7 @@ impl Model {
     }
 
     /// As [`Model::new`], with the scene's own basis, which other recipes of the same scene share.
-    pub(super) fn with_scene_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &SceneBasis) -> Result<Self> {
+    pub(super) fn with_scene_basis(scene: &System, recipe: &Recipe, native: bool, own: &SceneBasis) -> Result<Self> {
         memory::check_maps(scene, recipe)?;
         let telescope = Telescope::new(scene)?;
         let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &telescope, own)?;
@@ -71,7 +71,7 @@ impl Model {
 
     /// As [`Model::new`], for the modes of this scene or of one that differs slightly in its optical parameters.
     pub(super) fn with_modes(
-        scene: &Scene,
+        scene: &System,
         recipe: &Recipe,
         native: bool,
         telescope: Telescope,
@@ -83,7 +83,7 @@ impl Model {
 
     /// Assembles the model of these parts; `scene` gives the image and the band limit of the pupil.
     pub(super) fn assemble(
-        scene: &Scene,
+        scene: &System,
         recipe: &Recipe,
         native: bool,
         telescope: Telescope,
@@ -187,7 +187,7 @@ impl Model {
 ///
 /// # Errors
 /// [`Error::Scene`].
-fn refuse_turns(scene: &Scene, telescope: &Telescope) -> Result<()> {
+fn refuse_turns(scene: &System, telescope: &Telescope) -> Result<()> {
     let Some(turn_deg) = scene.image.pupil_turn_deg() else {
         return Err(Error::Scene(format!(
             "{}: image.pupil_turns_deg has one number for each image, and a model, its sessions and the watch have one turn of the pupil: a list of \

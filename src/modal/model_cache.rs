@@ -4,7 +4,7 @@ use super::fitter::{ModalFitter, same_basis};
 use super::mode_set::SceneBasis;
 use super::recipe::Recipe;
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::System;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Fitter for images with bad pixels (`true`), which are not reduced, or for others.
@@ -20,7 +20,7 @@ pub struct ModelCache {
 
 impl ModelCache {
     /// The cache for the scene `other` of one that was made for `scene`: shared where both have the same basis.
-    pub(crate) fn for_scene(&self, scene: &Scene, other: &Scene) -> Self {
+    pub(crate) fn for_scene(&self, scene: &System, other: &System) -> Self {
         if same_basis(scene, other) { self.clone() } else { Self::default() }
     }
 
@@ -28,7 +28,7 @@ impl ModelCache {
     ///
     /// # Errors
     /// Those of [`ModalFitter::new`].
-    pub(super) fn fitter(&self, scene: &Scene, recipe: Recipe, native: bool) -> Result<ModalFitter> {
+    pub(super) fn fitter(&self, scene: &System, recipe: Recipe, native: bool) -> Result<ModalFitter> {
         let slot = || self.fitter.lock().unwrap_or_else(PoisonError::into_inner);
         // Another one is dropped before this one is built: both may be large.
         let last = slot().take().filter(|(is_native, fitter)| *is_native == native && fitter.is_of(scene, &recipe));
@@ -44,6 +44,7 @@ impl ModelCache {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn fitter_is_rebuilt_only_for_another_scene_recipe_or_sampling() {

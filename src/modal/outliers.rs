@@ -10,7 +10,7 @@
 use super::prepare::Frame;
 use super::rejected::RejectedPixels;
 use crate::fourier::disc;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::statistics::upper_median_in_place;
 use crate::telescope::Filter;
 use cophase_numerics::cholesky::Cholesky;
@@ -94,7 +94,7 @@ struct Prediction {
 
 impl OutlierFinder {
     /// A finder for frames of `scene` through its `filter`; `None` where they are sampled too coarsely.
-    pub(super) fn new(scene: &Scene, filter: &Filter) -> Option<Self> {
+    pub(super) fn new(scene: &System, filter: &Filter) -> Option<Self> {
         let [shortest, _] = filter.range();
         let sampling = scene.image.samples_per_lambda_over_d * shortest;
         if sampling < LEAST_SAMPLING {

@@ -5,7 +5,7 @@ use super::recipe::Recipe;
 use crate::Result;
 use crate::grid::Grid;
 use crate::pupil::{BandLimit, Pupil, SegmentWeights};
-use crate::scene::{Crop, PupilModel, Sampling, Scene};
+use crate::scene::{Crop, PupilModel, Sampling, System};
 use crate::telescope::{Diversity, Telescope};
 
 /// Spare samples on each side of the pupil in a band-limited model, fewest and most: the weights ring beyond the pupil,
@@ -36,7 +36,7 @@ pub(super) struct PixelPlan {
 }
 
 impl PixelPlan {
-    pub(super) fn new(scene: &Scene, recipe: &Recipe, native: bool, diversity: &Diversity, pupil: &Pupil) -> Self {
+    pub(super) fn new(scene: &System, recipe: &Recipe, native: bool, diversity: &Diversity, pupil: &Pupil) -> Self {
         let image = &scene.image;
         let ((rows, columns), frame_sampling) = (image.fitted_shape(), image.samples_per_lambda_over_d);
         let frame = [columns, rows];
@@ -79,7 +79,7 @@ impl PixelPlan {
 }
 
 /// Samples along a side of the grid on which a band-limited model of `scene` is fitted.
-fn samples(scene: &Scene) -> usize {
+fn samples(scene: &System) -> usize {
     scene.estimate.samples.unwrap_or(scene.pupil.samples)
 }
 
@@ -88,7 +88,7 @@ fn samples(scene: &Scene) -> usize {
 /// The pass band holds every frequency of the pupil that light of the spot can bring into the image: half the image and
 /// the spot, and a little for the aberrations.
 pub(super) fn band_limited_weights(
-    scene: &Scene,
+    scene: &System,
     telescope: &Telescope,
     pixels: &PixelPlan,
 ) -> Result<(Grid, SegmentWeights)> {

@@ -1,6 +1,6 @@
 //! Recipe: the choices of a fit, those of the paper or ours, with the changes that the scene makes.
 
-use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, Scene, Weighting};
+use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, System, Weighting};
 
 /// Restarts of a fit that ended in a wrong minimum. Of 8 draws with pistons of 500 nm RMS at a peak S/N of 30 one needs more than
 /// three.
@@ -60,17 +60,17 @@ impl Recipe {
     /// at Nyquist sampling, BFGS from zero. Ours weighs by the noise, fits flux and background, samples the pupil with
     /// band-limited weights, crops to the signal, and estimates low Zernikes exactly. `"paper"` is the paper's recipe with our
     /// optimiser.
-    pub fn from_scene(scene: &Scene) -> Self {
+    pub fn from_scene(scene: &System) -> Self {
         Self::with_optimizer(scene, scene.estimate.optimizer)
     }
 
     /// The paper's objective with our optimiser, in place of the one that `scene` names; the scene's other keys of the fit are
     /// used.
-    pub fn paper_objective(scene: &Scene) -> Self {
+    pub fn paper_objective(scene: &System) -> Self {
         Self::with_optimizer(scene, Optimizer::Paper)
     }
 
-    fn with_optimizer(scene: &Scene, optimizer: Optimizer) -> Self {
+    fn with_optimizer(scene: &System, optimizer: Optimizer) -> Self {
         let ours = optimizer == Optimizer::GaussNewton;
         let estimate = &scene.estimate;
         let weighting = estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None });
@@ -111,7 +111,7 @@ impl Recipe {
     /// [`Recipe::from_scene`] with a prior on further Zernikes, those of radial orders 6 to 8, where the scene leaves the exact
     /// Zernikes open: a χ² does not show modes that are small in one image and large in the mean of forty, and error bars
     /// without them would be too small.
-    pub fn with_prior(scene: &Scene) -> Self {
+    pub fn with_prior(scene: &System) -> Self {
         let own = Self::from_scene(scene);
         let is_open = scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none();
         let prior_zernikes = if is_open { WITH_PRIOR } else { NollRange::None };

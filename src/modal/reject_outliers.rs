@@ -11,7 +11,7 @@ use super::rejected::RejectedPixels;
 use super::status::{ImageReport, Status};
 use crate::Result;
 use crate::imaging::Chain;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Filter;
 use ndarray::{Array3, Axis};
 use rayon::prelude::*;
@@ -88,7 +88,7 @@ pub struct CleanedImages {
 /// # Errors
 /// Those of reading the filter.
 pub fn reject_outliers(
-    scene: &Scene,
+    scene: &System,
     images_e: &Array3<f64>,
     bad: &Array3<bool>,
     read_noise_e: Option<f64>,
@@ -115,6 +115,7 @@ pub fn reject_outliers(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     #[ignore = "merge: 23 s"]

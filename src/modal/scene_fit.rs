@@ -10,7 +10,7 @@ use super::recipe::Recipe;
 use crate::Result;
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
-use crate::scene::{Sampling, Scene};
+use crate::scene::{Sampling, System};
 
 /// Opens the chain for a fitter's model.
 pub type OpenChain<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;
@@ -20,7 +20,7 @@ pub type OpenChain<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;
 /// # Errors
 /// As [`estimate_with`].
 pub fn estimate_scene(
-    scene: &Scene,
+    scene: &System,
     cube: Cube,
     open: &mut OpenChain,
     cancel: Option<&CancelFlag>,
@@ -30,7 +30,7 @@ pub fn estimate_scene(
 }
 
 /// Whether `cube` is fitted at its native sampling.
-fn is_native(scene: &Scene, cube: Cube) -> bool {
+fn is_native(scene: &System, cube: Cube) -> bool {
     scene.estimate.sampling == Sampling::Auto && cube.has_bad()
 }
 
@@ -38,7 +38,7 @@ fn is_native(scene: &Scene, cube: Cube) -> bool {
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`].
-pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &ModelCache, cube: Cube) -> Result<ModalFitter> {
+pub(crate) fn fitter_for(scene: &System, recipe: Recipe, cache: &ModelCache, cube: Cube) -> Result<ModalFitter> {
     ModalFitter::with_scene_basis(scene, recipe, is_native(scene, cube), cache.basis.clone())
 }
 
@@ -47,7 +47,7 @@ pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &ModelCache, cube
 /// # Errors
 /// Those of [`ModalFitter::new`], and of the fit of the parameters.
 pub(crate) fn fitter_of(
-    scene: &Scene,
+    scene: &System,
     recipe: Recipe,
     cache: &ModelCache,
     cube: Cube,
@@ -67,7 +67,7 @@ pub(crate) fn fitter_of(
 /// # Errors
 /// Those of [`ModalFitter::new`], of [`ModalFitter::estimate`] and of `open`.
 pub fn estimate_with(
-    scene: &Scene,
+    scene: &System,
     recipe: Recipe,
     cache: &ModelCache,
     cube: Cube,

@@ -268,7 +268,7 @@ impl Work<'_> {
         let (fitter, found) = &fitted.fit;
         let image = first_used(fitted);
         let diversity = fitter.diversity_projection()?;
-        let (scene, policy, control) = (fitter.scene(), &self.policy, self.control);
+        let (scene, policy, control) = (&fitted.scene, &self.policy, self.control);
         let task = ModalTask { scene, policy, control, cache, images: &self.images };
         let (model, chain) = (fitter.model(), fitter.reference_chain());
         of(&misfit::Case { task, image, model, chain, diversity: &diversity }, found)

@@ -39,6 +39,7 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     let mut fit_seconds = 0.0;
     if let Some(selected) = &fitted.selected {
         fitted.fit = task.fit_by(&selected.scene, None)?;
+        fitted.scene = selected.scene.adopting(fitted.fit.0.scene())?;
         fit_seconds = fitted.fit.1.seconds;
     }
     fitted.model_seconds += started.elapsed().as_secs_f64() - fit_seconds;

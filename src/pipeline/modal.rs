@@ -31,20 +31,19 @@ pub(super) fn estimate(task: &ModalTask, series: Option<&mut FitSeries>) -> Resu
 impl Fitted {
     /// The estimate of this channel alone.
     pub(super) fn into_estimate(self, policy: &Policy) -> Result<Estimate> {
-        let Self { fit: (fitter, found), selected, cause, changes, model_seconds } = self;
+        let Self { fit: (fitter, found), scene, selected, cause, changes, model_seconds } = self;
         let model = fitter.model();
         let diversity = fitter.diversity_projection()?;
         let errors = ExpectedErrors::new(model)?;
         let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
         let pupil = model.telescope.pupil.clone();
         let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
-        let scene_used = fitter.scene();
         let remarks = [
             selected.as_ref().map(|selected| selected.remark.clone()),
-            remarks::diversity_remark(&diversity, scene_used),
-            remarks::averaged_pupil_remark(scene_used, &model.telescope),
-            remarks::orientation_remark(scene_used, &model.telescope)?,
-            unit_remark(scene_used)?,
+            remarks::diversity_remark(&diversity, &scene),
+            remarks::averaged_pupil_remark(&scene, &model.telescope),
+            remarks::orientation_remark(&scene, &model.telescope)?,
+            unit_remark(&scene)?,
         ];
         let outcomes = found.images.iter().enumerate().map(|(image, report)| {
             let is_in = |list: &[usize]| list.contains(&image);
@@ -66,7 +65,7 @@ impl Fitted {
             optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
             warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
             remarks: remarks.into_iter().flatten().collect(),
-            scene: fitter.scene().clone(),
+            scene,
             pupil,
             precision: fitter.scene().estimate.precision,
             model_seconds,

@@ -24,6 +24,8 @@ pub(super) struct ModalTask<'a> {
 pub(super) struct Fitted {
     /// The fitter, and what it found.
     pub(super) fit: ModalFit,
+    /// The scene by which they were fitted, with the values of the optical parameters that were.
+    pub(super) scene: Scene,
     /// The extension of the scene's model that explains the images, where there is one.
     pub(super) selected: Option<Selected>,
     /// Likely cause of a misfit, as a sentence.
@@ -50,7 +52,8 @@ impl ModalTask<'_> {
         self.control.enter(Stage::Preparing, 0);
         let fit = self.fit_by(self.scene, series)?;
         let model_seconds = started.elapsed().as_secs_f64() - fit.1.seconds;
-        Ok(Fitted { fit, selected: None, cause: None, changes: None, model_seconds })
+        let scene = self.scene.adopting(fit.0.scene())?;
+        Ok(Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds })
     }
 
     /// Fits images in focus near the estimate `others` of other channels.
@@ -64,7 +67,8 @@ impl ModalTask<'_> {
         let model_seconds = started.elapsed().as_secs_f64();
         let found = fitter.estimate_near(&mut chain, self.cube(), others, Some(self.control.flag()))?;
         self.check()?;
-        Ok(Fitted { fit: (fitter, found), selected: None, cause: None, changes: None, model_seconds })
+        let scene = self.scene.adopting(fitter.scene())?;
+        Ok(Fitted { fit: (fitter, found), scene, selected: None, cause: None, changes: None, model_seconds })
     }
 
     /// Fits the images again from `start_nm`, and keeps the fit that explains them better; whether that is the new one.

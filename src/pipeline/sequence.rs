@@ -11,7 +11,7 @@ use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
-use crate::scene::{AoKnowledge, ModelChoice, Scene, SegmentModes};
+use crate::scene::{AoKnowledge, ModelChoice, Scene, SegmentModes, System};
 use crate::statics::{
     ChannelSequence, Iteration, MAX_NCPA_MODES, SequenceRetrieval, StaticsSettings, TiltSelection, check_diversity,
     estimate_static_errors,
@@ -72,7 +72,7 @@ fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<AoKnowledge> {
 }
 
 /// Refuses slopes that are not of `scene`'s sensor, before any image is read.
-fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) -> Result<()> {
+fn check_slopes(scene: &System, telescope: &Telescope, slopes_mas: &Array2<f64>) -> Result<()> {
     let Some(sensing) = &scene.wavefront_sensor else { return Ok(()) };
     let pupil = sensor_pupil(scene, sensing, telescope, 0)?;
     let subapertures = Lenslets::new(sensing, &pupil, scene.directory())?.subapertures.len();
@@ -189,9 +189,9 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
         // Channels could be explained by different optics, of which no wavefront is common to all.
         _ => RetrievedOptics::of(scene),
     })?;
-    let scenes: Vec<Scene> = match channels {
+    let scenes: Vec<System> = match channels {
         [_] => vec![optics.scene.clone()],
-        _ => channels.iter().map(|channel| channel.scene.clone()).collect(),
+        _ => channels.iter().map(|channel| channel.scene.system().clone()).collect(),
     };
     let retrievers = Retriever::of_channels(&scenes, optics.telescope(), &prior, &retrieval)?;
     let modes_per_segment = if tilts == TiltSelection::Never { 1 } else { 3 };
@@ -263,7 +263,7 @@ fn optics_with_sensor(
     };
     let optics = search()?;
     let found_sensor = slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
-    let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
+    let static_scene = if found_sensor.is_ok() { scene.adopting(&optics.scene)? } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
     Ok((optics, static_scene))
 }

@@ -3,7 +3,7 @@
 
 use crate::Result;
 use crate::modes::VonKarman;
-use crate::scene::{LoopLag, Scene};
+use crate::scene::{LoopLag, System};
 use crate::telescope::Telescope;
 use std::f64::consts::{PI, TAU};
 
@@ -23,7 +23,7 @@ pub(super) struct AoResidual {
 }
 
 impl AoResidual {
-    pub(super) fn from_scene(scene: &Scene) -> Result<Self> {
+    pub(super) fn from_scene(scene: &System) -> Result<Self> {
         let air = &scene.turbulence;
         let layer = |((&share, &speed), &direction): ((&f64, &f64), &f64)| {
             (share, [speed * f64::cos(direction), speed * f64::sin(direction)])
@@ -110,6 +110,7 @@ fn sinc(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn fractional_lag_rejection_is_between_those_of_whole_frames() {

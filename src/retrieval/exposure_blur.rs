@@ -14,7 +14,7 @@
 use super::ao_residual::AoResidual;
 use crate::Result;
 use crate::fourier::{fast_side, transform_square};
-use crate::scene::Scene;
+use crate::scene::System;
 use cophase_numerics::fft::{Fft, plan_both};
 use num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -37,7 +37,7 @@ impl ExposureBlur {
     ///
     /// # Errors
     /// Those of [`AoResidual::from_scene`].
-    pub(super) fn new(scene: &Scene, pixels: usize, reach_m: f64) -> Result<Option<Self>> {
+    pub(super) fn new(scene: &System, pixels: usize, reach_m: f64) -> Result<Option<Self>> {
         let residual = AoResidual::from_scene(scene)?;
         if !residual.has_layers() {
             return Ok(None);
@@ -78,6 +78,7 @@ impl ExposureBlur {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     fn scene(exposure_s: &str) -> Scene {
         Scene::preset("keck-onsky").unwrap().with(&[("image.exposure_s", exposure_s)]).unwrap()

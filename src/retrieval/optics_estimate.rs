@@ -1,15 +1,15 @@
 //! Optics of the images where they differ from the scene's.
 
-use super::optics_parameter::OpticsParameter;
+use super::optics_parameter::SearchedParameter;
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 
 /// Optics estimated from images, and the scene with them.
 #[derive(Debug, Clone)]
 pub struct RetrievedOptics {
     /// The scene, with the estimates in place of its own values.
-    pub(crate) scene: Scene,
+    pub(crate) scene: System,
     /// Numbers of the scene that differ.
     pub(crate) changes: Vec<OpticsChange>,
     /// Reflectivity of each segment over the pupil's mean; empty where they were not estimated.
@@ -47,15 +47,16 @@ impl RetrievedOptics {
     ///
     /// # Errors
     /// Those of building the telescope.
-    pub(super) fn new(given: &Scene, scene: Scene, amplitudes: Vec<f64>) -> Result<Self> {
+    pub(super) fn new(given: &System, scene: System, amplitudes: Vec<f64>) -> Result<Self> {
         let mut telescope = Telescope::new(&scene)?;
         if !amplitudes.is_empty() {
             telescope = telescope.with_amplitudes(amplitudes)?;
         }
-        let [given, found] = [given, &scene].map(OpticsParameter::all);
+        let [given, found] = [given, &scene].map(SearchedParameter::all);
         let change = given.iter().filter_map(|given| {
-            let found = found.iter().find(|found| found.key == given.key)?;
-            (found.own != given.own).then_some(OpticsChange { key: given.key, given: given.own, found: found.own })
+            let found = found.iter().find(|found| found.parameter == given.parameter)?;
+            let key = given.parameter.key;
+            (found.own != given.own).then_some(OpticsChange { key, given: given.own, found: found.own })
         });
         Ok(Self {
             changes: change.collect(),
@@ -69,7 +70,7 @@ impl RetrievedOptics {
     ///
     /// # Errors
     /// Those of building the telescope.
-    pub(crate) fn of(scene: &Scene) -> Result<Self> {
+    pub(crate) fn of(scene: &System) -> Result<Self> {
         Self::new(scene, scene.clone(), Vec::new())
     }
 

@@ -9,14 +9,14 @@
 //! that lowers the objective most is adopted; the search ends where the images are explained.
 
 use super::optics_estimate::RetrievedOptics;
-use super::optics_parameter::{OpticsKind, OpticsParameter};
+use super::optics_parameter::SearchedParameter;
 use super::prior::RadialPsd;
 use super::retriever::Retriever;
 use super::settings::RetrievalSettings;
 use crate::imaging::Choice;
 use crate::modal::Cube;
 use crate::optimize::CancelFlag;
-use crate::scene::Scene;
+use crate::scene::{Parameter, ParameterKind, System};
 use crate::statistics::upper_median;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -52,14 +52,15 @@ const AMPLITUDE_RMS: f64 = 0.05;
 /// Trial optics.
 #[derive(Clone)]
 struct TrialOptics {
-    scene: Scene,
+    scene: System,
     /// Amplitudes of the segments; empty where all are alike.
     amplitudes: Vec<f64>,
 }
 
 impl TrialOptics {
-    fn with(&self, key: &str, value: f64) -> Result<Self> {
-        Ok(Self { scene: self.scene.with(&[(key, &value.to_string())])?, amplitudes: self.amplitudes.clone() })
+    fn with(&self, parameter: &Parameter, value: f64) -> Result<Self> {
+        let scene = self.scene.with(|sections| parameter.set(sections, value))?;
+        Ok(Self { scene, amplitudes: self.amplitudes.clone() })
     }
 
     fn telescope(&self) -> Result<Telescope> {
@@ -168,8 +169,8 @@ impl OpticsSearch<'_> {
         let is_found = |best: &Option<(TrialOptics, OpticsMerit)>| {
             !is_explained && best.as_ref().is_some_and(|(_, trial)| trial.explains_images())
         };
-        let mut parameters = OpticsParameter::all(&optics.scene);
-        parameters.retain(|parameter| !is_explained || parameter.kind == OpticsKind::Camera);
+        let mut parameters = SearchedParameter::all(&optics.scene);
+        parameters.retain(|parameter| !is_explained || parameter.search.kind == ParameterKind::Camera);
         for some in parameters.chunks(PARAMETERS_AT_ONCE) {
             let changed: Vec<_> =
                 some.par_iter().map(|parameter| self.with_best_value(optics, parameter, merit)).collect();
@@ -194,17 +195,18 @@ impl OpticsSearch<'_> {
     fn with_best_value(
         &self,
         optics: &TrialOptics,
-        parameter: &OpticsParameter,
+        parameter: &SearchedParameter,
         merit: &OpticsMerit,
     ) -> Result<Option<(TrialOptics, OpticsMerit)>> {
         // Its pupil serves all trials with another camera or scale.
         let own = optics.telescope()?;
         let mut trials: Vec<(f64, OpticsMerit)> = Vec::new();
         let (value, _) = parameter.find_minimum((parameter.own, merit.reduced_objective), |value| {
-            let tried = optics.with(parameter.key, value)?;
+            let tried = optics.with(parameter.parameter, value)?;
+            let is_shadow = parameter.parameter.key.starts_with("pupil.");
             // An obscuration within the missing segment changes nothing.
-            let telescope = if parameter.key.starts_with("pupil.") { tried.telescope()? } else { own.clone() };
-            if parameter.key.starts_with("pupil.") && telescope.pupil.amplitude == own.pupil.amplitude {
+            let telescope = if is_shadow { tried.telescope()? } else { own.clone() };
+            if is_shadow && telescope.pupil.amplitude == own.pupil.amplitude {
                 return Ok(merit.reduced_objective);
             }
             let trial = self.evaluate_trial(&tried, telescope, merit)?;
@@ -213,7 +215,7 @@ impl OpticsSearch<'_> {
             Ok(objective)
         })?;
         let best = trials.into_iter().find(|(tried, _)| *tried == value);
-        best.map(|(value, trial)| Ok((optics.with(parameter.key, value)?, trial))).transpose()
+        best.map(|(value, trial)| Ok((optics.with(parameter.parameter, value)?, trial))).transpose()
     }
 
     /// `optics` with the amplitudes of the segments estimated from the images.
@@ -230,7 +232,7 @@ impl OpticsSearch<'_> {
 /// # Errors
 /// Those of making retrievers; [`Error::Interrupted`].
 pub(crate) fn estimate_optics(
-    scene: &Scene,
+    scene: &System,
     prior: &RadialPsd,
     settings: &RetrievalSettings,
     cube: Cube,
@@ -284,7 +286,8 @@ mod tests {
     fn estimated(made: &[(&str, &str)], amplitudes: &[f64], read: &[(&str, &str)]) -> RetrievedOptics {
         let (settings, made, read) =
             (RetrievalSettings::default(), scene().with(made).unwrap(), scene().with(read).unwrap());
-        let telescope = TrialOptics { scene: made.clone(), amplitudes: amplitudes.to_vec() }.telescope().unwrap();
+        let telescope =
+            TrialOptics { scene: made.system().clone(), amplitudes: amplitudes.to_vec() }.telescope().unwrap();
         let retriever = Retriever::new(&made, telescope, &prior(), settings.clone()).unwrap();
         let images_e = draw(&retriever, &prior(), 3, true).images_e;
         let bad = images_e.mapv(|_| false);

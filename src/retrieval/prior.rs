@@ -4,7 +4,7 @@
 
 use super::ao_residual::AoResidual;
 use crate::fourier::disc;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use std::f64::consts::{PI, TAU};
 
@@ -75,7 +75,7 @@ impl RadialPsd {
     ///
     /// # Errors
     /// Those of [`VonKarman::new`].
-    pub fn ao_residual(scene: &Scene, unknown: StaticAberrationRms) -> Result<Self> {
+    pub fn ao_residual(scene: &System, unknown: StaticAberrationRms) -> Result<Self> {
         let residual = AoResidual::from_scene(scene)?;
         let step_per_m = residual.cut_off_per_m / ENTRIES_IN_BAND as f64;
         let aperture_m = scene.grid_m().unwrap_or(1.0);
@@ -133,6 +133,7 @@ fn low_order(f: f64, aperture_m: f64, cut_off_per_m: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     fn scene() -> Scene {
         Scene::preset("keck-onsky").unwrap()

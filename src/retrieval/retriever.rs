@@ -25,7 +25,7 @@ use crate::imaging::{CpuChain, Precision};
 use crate::machine;
 use crate::modal::{Cube, Frame, Model, Recipe};
 use crate::optimize::CancelFlag;
-use crate::scene::Scene;
+use crate::scene::{NcpaBasis, NollRange, Optimizer, System};
 use crate::source::flux_e;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -62,7 +62,7 @@ impl Retriever {
     ///
     /// # Errors
     /// Those of [`Model::with_telescope`]; [`Error::Value`] for a setting out of range.
-    pub fn new(scene: &Scene, telescope: Telescope, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
+    pub fn new(scene: &System, telescope: Telescope, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
         settings.check()?;
         let scene = with_retrieval_sampling(&free_phase(scene)?, &telescope, settings.cycles_across_a_segment)?;
         Self::by_recipe(&scene, Recipe::from_scene(&scene), telescope, prior, settings)
@@ -73,7 +73,7 @@ impl Retriever {
     /// # Errors
     /// As [`Retriever::new`]; [`Error::Scene`] for channels that cannot have the same samples.
     pub fn of_channels(
-        scenes: &[Scene],
+        scenes: &[System],
         telescope: &Telescope,
         prior: &RadialPsd,
         settings: &RetrievalSettings,
@@ -102,7 +102,7 @@ impl Retriever {
 
     /// By a scene with the samples and pixels of a retrieval.
     fn by_recipe(
-        scene: &Scene,
+        scene: &System,
         recipe: Recipe,
         telescope: Telescope,
         prior: &RadialPsd,
@@ -277,13 +277,13 @@ impl Retriever {
 }
 
 /// `scene` with segment modes, tip and tilt only: the free phase includes the NCPA, and tip and tilt can exceed any power spectrum.
-fn free_phase(scene: &Scene) -> Result<Scene> {
-    scene.with(&[
-        ("modes.file", ""),
-        ("modes.ncpa", "none"),
-        ("modes.exact_zernikes", "[2, 3]"),
-        ("estimate.optimizer", "gauss-newton"),
-    ])
+fn free_phase(scene: &System) -> Result<System> {
+    scene.with(|sections| {
+        let modes = &mut sections.modes;
+        (modes.file, modes.ncpa) = (None, NcpaBasis::None);
+        modes.exact_zernikes = Some(NollRange::Span { first: 2, last: 3 });
+        sections.estimate.optimizer = Optimizer::GaussNewton;
+    })
 }
 
 /// What the tests ask of a retriever.

@@ -6,14 +6,14 @@
 use crate::Result;
 use crate::fourier::fast_side;
 use crate::modal::{ABERRATION_CYCLES, LEAST_HALF_WIDTH, Model, SPOT_MARGIN};
-use crate::scene::{Crop, PupilModel, Scene};
+use crate::scene::{Crop, PupilModel, System};
 use crate::telescope::{Diversity, Telescope};
 
 /// Margin on each side, in cycles: samples around the pupil and the bandwidth of the aberrations together.
 const MARGIN: f64 = 8.0;
 
 /// Computes the half-width of the defocused spot, λ over the grid's width.
-fn spot(scene: &Scene, telescope: &Telescope) -> Result<f64> {
+fn spot(scene: &System, telescope: &Telescope) -> Result<f64> {
     Ok(Diversity::new(scene, telescope)?.spot(&telescope.pupil, scene.image.wavelength_nm))
 }
 
@@ -21,7 +21,7 @@ fn spot(scene: &Scene, telescope: &Telescope) -> Result<f64> {
 ///
 /// # Errors
 /// Those of the diversity.
-pub(super) fn with_retrieval_sampling(scene: &Scene, telescope: &Telescope, cycles: f64) -> Result<Scene> {
+pub(super) fn with_retrieval_sampling(scene: &System, telescope: &Telescope, cycles: f64) -> Result<System> {
     let image = &scene.image;
     let (rows, columns) = image.fitted_shape();
     let larger = rows.max(columns);
@@ -43,12 +43,12 @@ pub(super) fn with_retrieval_sampling(scene: &Scene, telescope: &Telescope, cycl
     // A pupil map is to be twice as fine as the model made from it.
     let finest = telescope.truth_samples() / 2;
     let samples = fast_side((2.0 * (half_width + spot + MARGIN)).ceil() as usize).min(finest / 2 * 2).max(own);
-    let (pixels, samples) = (pixels.to_string(), samples.to_string());
-    let mut settings = vec![("image.crop_pixels", &pixels[..])];
-    if free {
-        settings.push(("estimate.samples", &samples));
-    }
-    scene.with(&settings)
+    scene.with(|sections| {
+        sections.image.crop_pixels = Crop::Pixels(pixels);
+        if free {
+            sections.estimate.samples = Some(samples);
+        }
+    })
 }
 
 /// The `scenes` of the channels of one telescope with the pixels that each needs, and the samples of the pupil that the finest needs;
@@ -56,7 +56,11 @@ pub(super) fn with_retrieval_sampling(scene: &Scene, telescope: &Telescope, cycl
 ///
 /// # Errors
 /// Those of the diversity.
-pub(super) fn with_common_sampling(scenes: &[Scene], telescope: &Telescope, cycles: f64) -> Result<(Vec<Scene>, f64)> {
+pub(super) fn with_common_sampling(
+    scenes: &[System],
+    telescope: &Telescope,
+    cycles: f64,
+) -> Result<(Vec<System>, f64)> {
     let each = scenes.iter().map(|scene| with_retrieval_sampling(scene, telescope, cycles));
     let scenes = each.collect::<Result<Vec<_>>>()?;
     let (mut samples, mut pass_cycles) = (None, 0.0f64);
@@ -66,8 +70,10 @@ pub(super) fn with_common_sampling(scenes: &[Scene], telescope: &Telescope, cycl
         samples = samples.max(scene.estimate.samples);
         pass_cycles = pass_cycles.max(half_width + spot(scene, telescope)? + ABERRATION_CYCLES);
     }
-    let Some(samples) = samples.map(|samples| samples.to_string()) else { return Ok((scenes, pass_cycles)) };
-    let scenes = scenes.iter().map(|scene| scene.with(&[("estimate.samples", &samples)]));
+    if samples.is_none() {
+        return Ok((scenes, pass_cycles));
+    }
+    let scenes = scenes.iter().map(|scene| scene.with(|sections| sections.estimate.samples = samples));
     Ok((scenes.collect::<Result<_>>()?, pass_cycles))
 }
 
@@ -75,7 +81,7 @@ pub(super) fn with_common_sampling(scenes: &[Scene], telescope: &Telescope, cycl
 ///
 /// # Errors
 /// Those of the diversity.
-pub(super) fn highest_frequency_per_m(scene: &Scene, model: &Model) -> Result<f64> {
+pub(super) fn highest_frequency_per_m(scene: &System, model: &Model) -> Result<f64> {
     let (sampling, width_m) = (model.optics.sampling(), model.telescope.pupil.grid.width_m());
     let (model_width_m, samples) = (model.width_ratio() * width_m, sampling.samples as f64);
     let half_width = sampling.pixels as f64 / (2.0 * sampling.pixels_per_lambda_over_d);
@@ -86,6 +92,7 @@ pub(super) fn highest_frequency_per_m(scene: &Scene, model: &Model) -> Result<f6
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     fn sizes(settings: &[(&str, &str)]) -> (Option<usize>, Crop) {
         let scene = Scene::preset("keck-onsky").unwrap().with(settings).unwrap();

@@ -60,7 +60,7 @@ section! {
 const MOST_LAYERS: usize = 100;
 
 impl Check for TurbulenceScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn check(&self, reader: &Reader) -> Result<()> {
         let layers = self.fractions.len();
         if layers > MOST_LAYERS {
             let sentence = format!("turbulence.fractions has {layers} layers; at most {MOST_LAYERS} are accepted");
@@ -178,7 +178,7 @@ impl SensorScene {
 
     /// Refuses the keys of the other kind of sensor, and sets those of a pyramid. The pixels of a pyramid are its subapertures: the keys
     /// lenslets_across and samples_per_lenslet, which all users of subapertures read, take their numbers.
-    fn check_kind(&mut self, reader: &Reader) -> Result<()> {
+    fn complete_kind(&mut self, reader: &Reader) -> Result<()> {
         if !self.is_pyramid() {
             return reader.refuse(&PYRAMID_KEYS, "where wavefront_sensor.kind = \"shack-hartmann\"");
         }
@@ -207,8 +207,11 @@ impl SensorScene {
 }
 
 impl Check for SensorScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
-        self.check_kind(reader)?;
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
+        self.complete_kind(reader)
+    }
+
+    fn check(&self, reader: &Reader) -> Result<()> {
         if let Some(pixels) = self.pixels_per_lenslet
             && !(2 * self.samples_per_lenslet).is_multiple_of(pixels)
         {
@@ -292,7 +295,7 @@ section! {
 }
 
 impl Check for ControlScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("filtered_modes", "condition_number")?;
         if self.command_matrix_file.is_some() {
             reader.refuse(
@@ -301,7 +304,7 @@ impl Check for ControlScene {
             )?;
         }
         if self.reconstructor == ReconstructorKind::Sparse {
-            self.check_sparse(reader)?;
+            self.complete_sparse(reader)?;
         }
         if self.optical_gains == OpticalGainMethod::Dither {
             self.check_dither(reader)?;
@@ -364,7 +367,7 @@ impl ControlScene {
     }
 
     /// Checks the keys that a sparse reconstructor cannot have, and sets its regularisation.
-    fn check_sparse(&mut self, reader: &Reader) -> Result<()> {
+    fn complete_sparse(&mut self, reader: &Reader) -> Result<()> {
         reader.refuse(
             &["filtered_modes", "interaction_file", "command_matrix_file"],
             "where control.reconstructor = \"sparse\"",

@@ -3,31 +3,14 @@
 use super::channel::{self, ChannelText};
 use super::table::Source;
 use super::{Channel, Scene};
-use crate::{Error, Result};
+use crate::Result;
 use std::path::Path;
-use toml_edit::{Document, DocumentMut};
+use toml_edit::Document;
 
 impl Scene {
     /// The channels, in order; none for a scene with one way of imaging.
     pub fn channels(&self) -> &[Channel] {
-        &self.content.channels
-    }
-
-    /// Refuses a scene with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
-    ///
-    /// # Errors
-    /// [`Error::Scene`].
-    pub(crate) fn refuse_channels(&self, who: &str) -> Result<()> {
-        match self.channels() {
-            [] => Ok(()),
-            channels => Err(Error::Scene(format!(
-                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): give a scene of one channel, or give this one \
-                 to 'cophase estimate', 'cophase simulate', pipeline::Estimator::estimate_channels or, in real time, modal::JointSession \
-                 (cophase_joint_session_create), which take several",
-                self.name(),
-                channels.len()
-            ))),
-        }
+        &self.channels
     }
 
     /// Most channels of a scene.
@@ -39,10 +22,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] for names and turns that channels cannot have.
     pub(crate) fn with_turns(&self, turns: &[Vec<(String, f64)>]) -> Result<Self> {
-        let mut document: DocumentMut = self
-            .text()
-            .parse()
-            .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
+        let mut document = self.document()?;
         channel::set_turns(&mut document, turns)?;
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), &[])
     }

@@ -36,7 +36,7 @@ section! {
 }
 
 impl Check for CommandsScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         let without = "without a table or a matrix of channels";
         if self.segment_file.is_none() && self.segment_matrix_file.is_none() {
             reader.refuse(&["segment_unit"], without)?;

@@ -1,8 +1,10 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
+use super::section_keys::SectionKeys;
+use super::sections::directory_of_keys;
 use super::table::SETTING;
 use super::unknown::{unknown_key, unknown_section};
-use super::{Scene, SectionKeys, channel, directory_of_keys, forms};
+use super::{Scene, System, channel, forms};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
@@ -15,10 +17,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] for a key that does not exist, or a value that the scene does not accept.
     pub fn with(&self, settings: &[(&str, &str)]) -> Result<Self> {
-        let mut document: DocumentMut = self
-            .text()
-            .parse()
-            .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
+        let mut document = self.document()?;
         let sections = directory_of_keys();
         for &(key, value) in settings {
             if let Some(key) = key.strip_prefix(channel::PREFIX) {
@@ -40,15 +39,35 @@ impl Scene {
             .map_err(|error| after_settings(error, settings))
     }
 
+    /// This scene with the values of `system`, which is its own but for some of them; the text has those that differ.
+    ///
+    /// # Errors
+    /// [`Error::Internal`] for a text that is not TOML.
+    pub(crate) fn adopting(&self, system: &System) -> Result<Self> {
+        let differences = system.differences(self);
+        let mut adopted = self.clone();
+        if !differences.is_empty() {
+            let mut document = self.document()?;
+            for (section, key, value) in differences {
+                set(&mut document, section, key, &value)?;
+            }
+            adopted.text = document.to_string().into();
+        }
+        adopted.system = system.clone();
+        Ok(adopted)
+    }
+
+    pub(super) fn document(&self) -> Result<DocumentMut> {
+        let parsed = self.text().parse();
+        parsed.map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))
+    }
+
     /// This scene without `key`, which then has its default.
     ///
     /// # Errors
     /// [`Error::Scene`] for a key that does not exist, and for a scene that is not valid without it.
     pub fn without(&self, key: &str) -> Result<Self> {
-        let mut document: DocumentMut = self
-            .text()
-            .parse()
-            .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
+        let mut document = self.document()?;
         let sections = directory_of_keys();
         let (section, name) = known_key(&sections, key)?;
         if let Some(table) = document.get_mut(section).and_then(toml_edit::Item::as_table_like_mut) {

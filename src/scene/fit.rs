@@ -33,7 +33,7 @@ section! {
 }
 
 impl Check for ModesScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         if let Some(file) = &self.file {
             reader.not_both("ncpa", "file")?;
             reader.refuse(&["ncpa_count", "petals"], "where modes come from a file")?;
@@ -124,19 +124,30 @@ section! {
 }
 
 impl Check for EstimateScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         match self.method {
-            Method::Modal => self.check_modal(reader),
-            Method::FullPhase => self.check_full_phase(reader),
+            Method::Modal => Self::refuse_keys_of_full_phase(reader),
+            Method::FullPhase => self.complete_full_phase(reader),
             // Keys of the other method are refused when the images have decided.
+            Method::Auto => Ok(()),
+        }
+    }
+
+    fn check(&self, reader: &Reader) -> Result<()> {
+        match self.method {
+            Method::Modal => self.check_fitted_optics(reader),
+            Method::FullPhase => self.check_full_phase(reader),
             Method::Auto => Ok(()),
         }
     }
 }
 
 impl EstimateScene {
-    fn check_modal(&self, reader: &Reader) -> Result<()> {
-        reader.refuse(&["ao_knowledge", "telemetry"], "where estimate.method is \"modal\"")?;
+    fn refuse_keys_of_full_phase(reader: &Reader) -> Result<()> {
+        reader.refuse(&["ao_knowledge", "telemetry"], "where estimate.method is \"modal\"")
+    }
+
+    fn check_fitted_optics(&self, reader: &Reader) -> Result<()> {
         if self.fit_optics.is_empty() {
             return Ok(());
         }
@@ -150,11 +161,18 @@ impl EstimateScene {
         reader.not_both("budget_nm", "fit_optics")
     }
 
-    /// Refuses keys that a full-phase estimate does not use.
-    fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
+    /// Refuses keys that a full-phase estimate does not use, and sets its precision.
+    fn complete_full_phase(&mut self, reader: &Reader) -> Result<()> {
         let modal =
             ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "fit_optics", "combine"];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
+        if !reader.named("precision") {
+            self.precision = Precision::F32;
+        }
+        Ok(())
+    }
+
+    fn check_full_phase(&self, reader: &Reader) -> Result<()> {
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(
                 "estimate.optimizer = \"{}\" has no meaning where estimate.method is \"full-phase\", which has an \
@@ -167,9 +185,6 @@ impl EstimateScene {
             let sentence = "estimate.telemetry = \"ignore\" contradicts estimate.ao_knowledge = \"telemetry\"; leave one of \
                             them out";
             return Err(reader.error("telemetry", sentence));
-        }
-        if !reader.named("precision") {
-            self.precision = Precision::F32;
         }
         Ok(())
     }

@@ -49,6 +49,12 @@ impl FromToml for NollRange {
             Self::Span { first, last } => format!("[{first}, {last}]"),
         }
     }
+    fn is_within(&self, range: &Range) -> bool {
+        match self {
+            Self::None => true,
+            Self::Span { first, last } => first <= last && first.is_within(range) && last.is_within(range),
+        }
+    }
 }
 
 /// Labels of segments: numbers, or words such as `A1`.

@@ -24,10 +24,13 @@ mod fit;
 mod forms;
 mod lists;
 mod own_form;
+mod parameter;
 mod pupil;
 mod purpose;
 mod reference;
 mod section_keys;
+mod sections;
+mod system;
 mod table;
 mod telescope;
 mod units;
@@ -42,8 +45,11 @@ pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::{NollRange, SegmentLabels};
 pub(crate) use own_form::rounded;
+pub(crate) use parameter::{PARAMETERS, Parameter, ParameterKind, SearchRange};
 pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;
+pub use sections::Sections;
+pub use system::{System, SystemChannel};
 pub use telescope::{AberrationScene, ImageScene};
 pub(crate) use units::MAS_PER_RADIAN;
 pub use words::{
@@ -54,18 +60,21 @@ pub use words::{
 };
 
 use crate::{Error, Result};
-use section_keys::SectionKeys;
+use sections::directory_of_keys;
 use std::ops::Deref;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use table::{Check, Reader, Section, Source, shown, suggestion};
+use system::Origin;
+use table::{Reader, Source, shown, suggestion};
 use toml_edit::{Document, Item};
 
-/// Validated, immutable scene. It dereferences to its [`Sections`]. [`Scene::with`] makes a changed copy. Cloning is
-/// cheap.
+/// Validated, immutable scene: a [`System`], to which it dereferences, with the text that it was read from. [`Scene::with`] makes a changed
+/// copy. Cloning is cheap.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    content: Arc<Content>,
+    system: System,
+    text: Arc<str>,
+    channels: Arc<[Channel]>,
 }
 
 /// One way of imaging the wavefront.
@@ -75,91 +84,6 @@ pub struct Channel {
     pub name: String,
     /// The scene of this channel alone.
     pub scene: Scene,
-}
-
-#[derive(Debug)]
-struct Content {
-    sections: Sections,
-    text: String,
-    /// Name of the scene in messages.
-    name: String,
-    directory: PathBuf,
-    purpose: Purpose,
-    channels: Vec<Channel>,
-}
-
-/// Declares the sections of a scene: their structs, their order, and which are optional.
-macro_rules! sections {
-    ($($(#[$doc:meta])+ $name:ident: $type:ty;)+) => {
-        /// The sections of a scene.
-        #[derive(Debug, Clone, PartialEq)]
-        pub struct Sections { $($(#[$doc])+ pub $name: $type,)+ }
-
-        impl Sections {
-            fn read(source: Source, document: &toml_edit::Table) -> Result<Self> {
-                Ok(Self { $($name: <$type>::read_checked(source, document.get(stringify!($name)))?,)+ })
-            }
-        }
-
-        /// The table of all keys, section by section.
-        fn directory_of_keys() -> Vec<SectionKeys> {
-            vec![$(<$type>::listing()),+]
-        }
-    };
-}
-
-sections! {
-    /// The telescope's pupil.
-    pupil: PupilScene;
-    /// The camera and its images.
-    image: ImageScene;
-    /// The truth of a simulated image.
-    aberrations: Option<AberrationScene>;
-    /// Faults planted in simulated images.
-    faults: FaultScene;
-    /// The modes that are estimated.
-    modes: ModesScene;
-    /// The deformable mirror.
-    mirror: MirrorScene;
-    /// The turbulence.
-    turbulence: TurbulenceScene;
-    /// The wavefront sensor of the AO loop.
-    wavefront_sensor: Option<SensorScene>;
-    /// The control of the AO loop.
-    control: Option<ControlScene>;
-    /// Settings of the estimate.
-    estimate: EstimateScene;
-    /// Terms of the controllers that take corrections.
-    commands: CommandsScene;
-}
-
-/// Section as a field of [`Sections`]: always present (with defaults), or optional.
-trait Entry: Sized {
-    fn listing() -> SectionKeys;
-    fn read_checked(source: Source, item: Option<&Item>) -> Result<Self>;
-}
-
-impl<S: Section + Check> Entry for S {
-    fn listing() -> SectionKeys {
-        SectionKeys { name: S::NAME, about: S::ABOUT, keys: S::keys() }
-    }
-
-    fn read_checked(source: Source, item: Option<&Item>) -> Result<Self> {
-        let reader = Reader { source, section: S::NAME, item };
-        let mut section = S::read(&reader)?;
-        section.check(&reader)?;
-        Ok(section)
-    }
-}
-
-impl<S: Section + Check> Entry for Option<S> {
-    fn listing() -> SectionKeys {
-        S::listing()
-    }
-
-    fn read_checked(source: Source, item: Option<&Item>) -> Result<Self> {
-        item.map(|item| S::read_checked(source, Some(item))).transpose()
-    }
 }
 
 /// Preset scenes: name and text.
@@ -259,22 +183,7 @@ impl Scene {
 
     /// The scene as TOML text, including comments.
     pub fn text(&self) -> &str {
-        &self.content.text
-    }
-
-    /// Name of the scene in messages: its file or preset.
-    pub fn name(&self) -> &str {
-        &self.content.name
-    }
-
-    /// Directory to which relative file names in the scene refer.
-    pub fn directory(&self) -> &Path {
-        &self.content.directory
-    }
-
-    /// Path of a file that the scene names; a relative name refers to [`Scene::directory`].
-    pub fn resolve(&self, file: impl AsRef<Path>) -> PathBuf {
-        self.content.directory.join(file)
+        &self.text
     }
 
     /// Whether the text names `key`, as `section.key`; otherwise the key has its default.
@@ -286,20 +195,9 @@ impl Scene {
         })
     }
 
-    /// Seed of the aberrations; 1 in a scene without any.
-    pub fn seed(&self) -> u64 {
-        self.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed)
-    }
-
-    /// Whether the scene has a mirror of its own, and not only the default of every scene.
-    pub fn has_mirror(&self) -> bool {
-        let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file", "mirror.influence_file"];
-        self.control.is_some() || keys.iter().any(|key| self.names(key))
-    }
-
-    /// Purpose for which the scene was read.
-    pub(crate) fn purpose(&self) -> Purpose {
-        self.content.purpose
+    /// The system that the scene describes.
+    pub fn system(&self) -> &System {
+        &self.system
     }
 
     fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose, settings: &[(&str, &str)]) -> Result<Self> {
@@ -322,101 +220,28 @@ impl Scene {
             Some(first) => Sections::clone(&first.scene),
             None => {
                 let mut sections = Sections::read(source, document.as_table())?;
-                sections.convert_units(source, document.as_table())?;
+                sections.convert_units(&|section| Reader { source, section, item: document.get(section) })?;
                 sections
             }
         };
-        sections.check_together(source, document.as_table())?;
-        let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());
-        Ok(Self { content: Arc::new(Content { sections, text, name, directory, purpose, channels }) })
+        sections.check_together(&|section| Reader { source, section, item: document.get(section) })?;
+        let names_mirror = document.get("mirror").and_then(Item::as_table_like).is_some_and(|mirror| {
+            ["actuators_across", "pitch_m", "actuator_file", "influence_file"]
+                .iter()
+                .any(|key| mirror.contains_key(key))
+        });
+        let origin = Origin { name, directory, purpose, names_mirror };
+        let of = |Channel { name, scene }: &Channel| SystemChannel { name: name.clone(), system: scene.system.clone() };
+        let system = System::new(sections, &origin, channels.iter().map(of).collect());
+        Ok(Self { system, text: text.into(), channels: channels.into() })
     }
 }
 
 impl Deref for Scene {
-    type Target = Sections;
+    type Target = System;
 
-    fn deref(&self) -> &Sections {
-        &self.content.sections
-    }
-}
-
-impl Sections {
-    /// Refuses sections that contradict each other.
-    fn check_together(&self, source: Source, document: &toml_edit::Table) -> Result<()> {
-        let reader = |section| Reader { source, section, item: document.get(section) };
-        let samples = self.pupil.samples;
-        if let Some(truth) = self.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples)
-            && truth < samples
-        {
-            let sentence = format!(
-                "aberrations.truth_samples = {truth} is not accepted; at least the estimator's pupil.samples = {samples} is needed"
-            );
-            return Err(reader("aberrations").error("truth_samples", sentence));
-        }
-        let planted = [
-            ("segment_reflectivity_rms", self.faults.segment_reflectivity_rms),
-            ("drift_nm_per_min", self.faults.drift_nm_per_min),
-        ];
-        if let Some((key, value)) = planted.iter().find(|(_, value)| *value > 0.0)
-            && self.aberrations.is_none()
-        {
-            let sentence = format!(
-                "faults.{key} = {value} is not accepted without aberrations; a section [aberrations] is needed"
-            );
-            return Err(reader("faults").error(key, sentence));
-        }
-        if self.control.is_some() && self.wavefront_sensor.is_none() {
-            let sentence = "[control] is named without a sensor; a section [wavefront_sensor] is needed";
-            return Err(reader("control").error("", sentence));
-        }
-        if self.wavefront_sensor.as_ref().is_some_and(SensorScene::is_pyramid)
-            && self.control.as_ref().is_some_and(|control| control.reconstructor == ReconstructorKind::Sparse)
-        {
-            let sentence = "control.reconstructor = \"sparse\" is not accepted where wavefront_sensor.kind = \"pyramid\", whose slopes depend on the whole wavefront; \"dense\" is needed";
-            return Err(reader("control").error("reconstructor", sentence));
-        }
-        if self.image.is_pupil_turned() {
-            self.check_turns().map_err(|sentence| reader("image").error("pupil_turns_deg", sentence))?;
-        }
-        Ok(())
-    }
-
-    /// Why the pupil cannot turn as the scene says.
-    fn check_turns(&self) -> std::result::Result<(), String> {
-        if let Some(hindrance) = self.hindrance_of_turns() {
-            return Err(format!("image.pupil_turns_deg is not accepted with {hindrance}"));
-        }
-        let turns_deg = self.image.pupil_turns_deg.iter().flatten();
-        let widths_m = turns_deg.filter_map(|turn_deg| self.pupil.turned_by(*turn_deg).extent_m());
-        let needed_m = widths_m.fold(0.0, f64::max);
-        match self.pupil.grid_m.or(self.pupil.extent_m()) {
-            Some(grid_m) if grid_m * (1.0 + 1e-9) < needed_m => Err(format!(
-                "image.pupil_turns_deg turns the pupil beyond its grid of {grid_m:.4} m; pupil.grid_m of {needed_m:.4} or more is needed (λ/D in \
-                 other keys means λ/grid_m)"
-            )),
-            _ => Ok(()),
-        }
-    }
-
-    /// What in the scene does not go with a pupil that turns, and what does.
-    fn hindrance_of_turns(&self) -> Option<&'static str> {
-        let has_petals = self.modes.petals != SegmentModes::None
-            || self.aberrations.as_ref().is_some_and(AberrationScene::has_petals);
-        let has_loop = self.wavefront_sensor.is_some() || !self.turbulence.fractions.is_empty();
-        [
-            (matches!(self.pupil.aperture, Aperture::File(_)), "a pupil from a file; hexagons or discs are needed"),
-            (self.pupil.model == Some(PupilModel::Hard), "pupil.model = \"hard\"; \"band-limited\" is needed"),
-            (
-                self.modes.segment == SegmentModes::PistonTipTilt,
-                "modes.segment = \"piston-tip-tilt\"; \"piston\" is needed",
-            ),
-            (matches!(self.modes.ncpa, NcpaBasis::File(_)), "modes.ncpa from a file; \"kl\" or \"zernike\" is needed"),
-            (has_petals, "petals, of which the scene must have none"),
-            (has_loop, "adaptive optics or turbulence: images of one static wavefront are needed"),
-            (self.estimate.method == Method::FullPhase, "estimate.method = \"full-phase\"; \"modal\" is needed"),
-        ]
-        .into_iter()
-        .find_map(|(is_there, what)| is_there.then_some(what))
+    fn deref(&self) -> &System {
+        &self.system
     }
 }
 

@@ -191,10 +191,6 @@ impl PupilScene {
     }
 
     fn check_band(&self, reader: &Reader) -> Result<()> {
-        if matches!(self.model, Some(PupilModel::Area | PupilModel::Hard)) {
-            reader
-                .refuse(&["band_pass_cycles", "band_stop_cycles"], "where the pupil's model is not \"band-limited\"")?;
-        }
         let samples = self.samples;
         if let Some(pass) = self.band_pass_cycles.filter(|&pass| 2.0 * pass >= samples as f64) {
             let sentence = format!(
@@ -215,7 +211,7 @@ impl PupilScene {
 }
 
 impl Check for PupilScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("spider_angles_deg", "spider_vanes_deg")?;
         if self.spider_vanes_deg.is_some() {
             self.spider_angles_deg.clear();
@@ -229,6 +225,14 @@ impl Check for PupilScene {
                 self.central_segment = self.aperture != Aperture::Keck;
             }
         }
+        if matches!(self.model, Some(PupilModel::Area | PupilModel::Hard)) {
+            reader
+                .refuse(&["band_pass_cycles", "band_stop_cycles"], "where the pupil's model is not \"band-limited\"")?;
+        }
+        Ok(())
+    }
+
+    fn check(&self, reader: &Reader) -> Result<()> {
         if let Some(extent_m) = self.extent_m().filter(|_| reader.source.purpose != Purpose::Arrays) {
             self.check_geometry(extent_m, reader)?;
         }

@@ -54,12 +54,21 @@ pub(super) trait Section: Sized {
     fn keys() -> Vec<Key>;
     /// Reads and checks each key separately.
     fn read(reader: &Reader) -> Result<Self>;
+    /// Keys whose values differ from those of `other`, and their values in TOML syntax; empty for a key without one.
+    fn differences(&self, other: &Self) -> Vec<(&'static str, String)>;
+    /// The first key whose value is out of its range: its name, the value, and what is accepted.
+    fn key_out_of_range(&self) -> Option<(&'static str, String, String)>;
 }
 
 /// Checks of a section that concern several keys.
 pub(super) trait Check {
-    /// Fills in defaults that depend on other keys, and refuses keys that contradict each other.
-    fn check(&mut self, _reader: &Reader) -> Result<()> {
+    /// Fills in defaults that depend on other keys, and refuses keys that are named in vain.
+    fn complete(&mut self, _reader: &Reader) -> Result<()> {
+        Ok(())
+    }
+
+    /// Refuses values that contradict each other. It does not depend on which keys the scene names.
+    fn check(&self, _reader: &Reader) -> Result<()> {
         Ok(())
     }
 }
@@ -88,6 +97,25 @@ macro_rules! section {
 
             fn read(reader: &$crate::scene::table::Reader) -> $crate::Result<Self> {
                 Ok(Self { $($key: reader.key($crate::scene::table::key_name(stringify!($key)), &$range, $preset)?,)+ })
+            }
+
+            fn differences(&self, other: &Self) -> Vec<(&'static str, String)> {
+                use $crate::scene::value::FromToml;
+                let mut all = Vec::new();
+                $(if self.$key != other.$key {
+                    let value = self.$key.has_value().then(|| self.$key.to_toml());
+                    all.push(($crate::scene::table::key_name(stringify!($key)), value.unwrap_or_default()));
+                })+
+                all
+            }
+
+            fn key_out_of_range(&self) -> Option<(&'static str, String, String)> {
+                use $crate::scene::value::FromToml;
+                $(if !self.$key.is_within(&$range) {
+                    let name = $crate::scene::table::key_name(stringify!($key));
+                    return Some((name, self.$key.to_toml(), <$type>::accepted(&$range)));
+                })+
+                None
             }
         }
     };
@@ -210,6 +238,18 @@ impl<'a> Reader<'a> {
                 format_args!("{section}.{name} = {given} is not accepted; {} is needed", T::accepted(range)),
             )
         })
+    }
+}
+
+/// Refuses a section with a key whose value is out of its range.
+pub(super) fn check_ranges<S: Section>(section: &S, source: Source) -> Result<()> {
+    match section.key_out_of_range() {
+        None => Ok(()),
+        Some((key, value, accepted)) => {
+            let reader = Reader { source, section: S::NAME, item: None };
+            let name = S::NAME;
+            Err(reader.error(key, format_args!("{name}.{key} = {value} is not accepted; {accepted} is needed")))
+        }
     }
 }
 

@@ -182,11 +182,21 @@ fn named(keys: [&'static str; 4], values: [Option<f64>; 3]) -> Option<(&'static 
 }
 
 impl Check for ImageScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("peak_snr", "flux_e")?;
         reader.not_several(&forms::SAMPLING)?;
         reader.not_several(&forms::FOCUS)?;
         forms::FOCUS.iter().try_for_each(|key| reader.not_both(key, "diversity_file"))?;
+        if self.flux_e.is_none() {
+            self.peak_snr.get_or_insert(500.0);
+        }
+        if self.diversity_file.is_some() {
+            self.diversity_focus_waves_rms = 0.0;
+        }
+        Ok(())
+    }
+
+    fn check(&self, reader: &Reader) -> Result<()> {
         if self.filter_file.is_some() && self.bandwidth_fraction > 0.0 {
             let sentence = format!(
                 "'image.filter_file' and image.bandwidth_fraction = {} are both given; name only one of them",
@@ -194,21 +204,18 @@ impl Check for ImageScene {
             );
             return Err(reader.error("filter_file", sentence));
         }
-        if self.flux_e.is_none() {
-            let snr = *self.peak_snr.get_or_insert(500.0);
-            // Without noise the ratio is infinite for any flux.
-            if !self.photon_noise && self.simulated_read_noise_e() == 0.0 {
-                let read_noise =
-                    if self.read_noise_e.is_some() { "image.read_noise_e = 0" } else { "no image.read_noise_e" };
-                let sentence = format!(
-                    "image.peak_snr = {snr} gives no flux where there is no noise (image.photon_noise = false and {read_noise}); \
-                     image.flux_e in its place, or one of the two noises, is needed"
-                );
-                return Err(reader.error("photon_noise", sentence));
-            }
-        }
-        if self.diversity_file.is_some() {
-            self.diversity_focus_waves_rms = 0.0;
+        // Without noise the ratio is infinite for any flux.
+        if let (None, Some(snr)) = (self.flux_e, self.peak_snr)
+            && !self.photon_noise
+            && self.simulated_read_noise_e() == 0.0
+        {
+            let read_noise =
+                if self.read_noise_e.is_some() { "image.read_noise_e = 0" } else { "no image.read_noise_e" };
+            let sentence = format!(
+                "image.peak_snr = {snr} gives no flux where there is no noise (image.photon_noise = false and {read_noise}); \
+                 image.flux_e in its place, or one of the two noises, is needed"
+            );
+            return Err(reader.error("photon_noise", sentence));
         }
         if self.pupil_turns_deg.as_ref().is_some_and(Vec::is_empty) {
             let sentence = "image.pupil_turns_deg = [] is not accepted; one number, or one for each image, is needed";
@@ -223,7 +230,7 @@ impl Check for ImageScene {
             }
         }
         // A sampling in other words is converted, and checked, when the pupil is known.
-        if !forms::SAMPLING[1..].iter().any(|key| reader.named(key)) {
+        if self.named_sampling().is_none() {
             self.check_sampling(reader)?;
         }
         let (rows, columns) = self.frame_shape();
@@ -288,13 +295,17 @@ impl AberrationScene {
 }
 
 impl Check for AberrationScene {
-    fn check(&mut self, reader: &Reader) -> Result<()> {
+    fn complete(&mut self, reader: &Reader) -> Result<()> {
         if self.ncpa_file.is_some() {
             reader.refuse(&forms::ZERNIKES, "where the non-common path aberrations come from a file")?;
         }
         for key in forms::PETALS {
             reader.not_both(key, "petal_coefficients_nm")?;
         }
+        Ok(())
+    }
+
+    fn check(&self, reader: &Reader) -> Result<()> {
         if self.ncpa_rms_nm > 0.0 && self.ncpa_zernikes == NollRange::None {
             let rms_nm = self.ncpa_rms_nm;
             let sentence = format!(

@@ -8,8 +8,10 @@
 //! * detector displaced along the axis by ΔL: a = ΔL/(2f²), so ΔL/(8F²) at the edge r = L/2 (Goodman, Introduction to Fourier Optics,
 //!   section 6.4, for ΔL ≪ f).
 
-use super::table::{Reader, Source};
-use super::{PupilScene, Scene, Sections};
+use super::pupil::PupilScene;
+use super::sections::Sections;
+use super::system::System;
+use super::table::Reader;
 use crate::Result;
 use crate::hexagons::{Hexagon, HexagonLayout};
 
@@ -22,8 +24,8 @@ pub(crate) const MAS_PER_RADIAN: f64 = 180.0 / std::f64::consts::PI * 3.6e6;
 
 impl Sections {
     /// Converts the other forms of the sampling and of the defocus to `samples_per_lambda_over_d` and `diversity_focus_waves_rms`.
-    pub(super) fn convert_units(&mut self, source: Source, document: &toml_edit::Table) -> Result<()> {
-        let reader = Reader { source, section: "image", item: document.get("image") };
+    pub(super) fn convert_units<'r>(&mut self, reader: &dyn Fn(&'static str) -> Reader<'r>) -> Result<()> {
+        let reader = reader("image");
         self.convert_sampling(&reader)?;
         self.convert_focus(&reader)
     }
@@ -114,7 +116,7 @@ impl Sections {
     }
 }
 
-impl Scene {
+impl System {
     /// Side of the pupil's grid, m; `None` where arrays of a caller replace the scene's pupil.
     pub(crate) fn grid_m(&self) -> Option<f64> {
         self.pupil.grid_m.or(self.pupil.extent_m())

@@ -90,6 +90,14 @@ pub(super) trait FromToml: Sized {
     fn from_toml(value: &Value, range: &Range) -> Option<Self>;
     /// Writes the value in TOML syntax.
     fn to_toml(&self) -> String;
+    /// Whether there is a value.
+    fn has_value(&self) -> bool {
+        true
+    }
+    /// Whether the value is within the range; true of values that are not numbers.
+    fn is_within(&self, _range: &Range) -> bool {
+        true
+    }
 }
 
 /// Number of a TOML integer or float: `4` is accepted for `4.0`.
@@ -107,6 +115,9 @@ impl FromToml for f64 {
     fn to_toml(&self) -> String {
         format!("{self:?}")
     }
+    fn is_within(&self, range: &Range) -> bool {
+        range.holds(*self)
+    }
 }
 
 impl FromToml for u64 {
@@ -120,6 +131,9 @@ impl FromToml for u64 {
     fn to_toml(&self) -> String {
         self.to_string()
     }
+    fn is_within(&self, range: &Range) -> bool {
+        range.holds(*self as f64)
+    }
 }
 
 impl FromToml for usize {
@@ -131,6 +145,9 @@ impl FromToml for usize {
     }
     fn to_toml(&self) -> String {
         self.to_string()
+    }
+    fn is_within(&self, range: &Range) -> bool {
+        range.holds(*self as f64)
     }
 }
 
@@ -195,6 +212,9 @@ impl FromToml for Vec<f64> {
     fn to_toml(&self) -> String {
         format!("{self:?}")
     }
+    fn is_within(&self, range: &Range) -> bool {
+        self.iter().all(|&x| range.holds(x))
+    }
 }
 
 impl<T: FromToml> FromToml for Option<T> {
@@ -206,6 +226,12 @@ impl<T: FromToml> FromToml for Option<T> {
     }
     fn to_toml(&self) -> String {
         self.as_ref().map_or_else(|| "unset".into(), T::to_toml)
+    }
+    fn has_value(&self) -> bool {
+        self.is_some()
+    }
+    fn is_within(&self, range: &Range) -> bool {
+        self.as_ref().is_none_or(|value| value.is_within(range))
     }
 }
 

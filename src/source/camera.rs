@@ -7,7 +7,7 @@ use crate::fourier::{Sampling, Transform};
 use crate::grid::Grid;
 use crate::machine;
 use crate::pupil::SegmentWeights;
-use crate::scene::{ImageScene, Scene};
+use crate::scene::{ImageScene, System};
 use crate::telescope::{Diversity, Filter, Telescope};
 use ndarray::{Array2, s};
 use rand::Rng;
@@ -29,7 +29,7 @@ fn square(image: &ImageScene) -> usize {
 
 /// Camera of a scene behind its telescope.
 pub struct Camera<'a> {
-    scene: &'a Scene,
+    scene: &'a System,
     telescope: &'a Telescope,
     grid: Grid,
     weights: SegmentWeights,
@@ -43,7 +43,7 @@ impl<'a> Camera<'a> {
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a coarse pupil map and a finer grid; those of reading the diversity and the filter.
-    pub fn new(scene: &'a Scene, telescope: &'a Telescope) -> Result<Self> {
+    pub fn new(scene: &'a System, telescope: &'a Telescope) -> Result<Self> {
         let own = telescope.pupil.grid;
         let stated = scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
         let samples = stated.unwrap_or(telescope.truth_samples());

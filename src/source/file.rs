@@ -3,7 +3,7 @@
 use super::images::SourceImages;
 use super::truth::Truth;
 use crate::io::{CHANNEL, Column, ELECTRON, FitsWriter, Pixel};
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::Array3;
 use std::path::Path;
@@ -13,7 +13,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Error::Shape`] for images of another number of channels than the scene has; [`Error::File`] if the file cannot be written.
-pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
+pub fn write(path: &Path, scene: &System, scene_text: &str, made: &[SourceImages]) -> Result<()> {
     let channels = scene.channels();
     let (Some(first), true) = (made.first(), made.len() == channels.len().max(1)) else {
         let (given, wanted) = (made.len(), channels.len().max(1));
@@ -26,7 +26,7 @@ pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
         seed_card(&mut file, &hdu, "SEED", seed, "seed of aberrations and noise")?;
     }
     truth(&mut file, scene, &first.truth)?;
-    file.text("SCENE", scene.text())?;
+    file.text("SCENE", scene_text)?;
     file.finish()
 }
 
@@ -34,7 +34,7 @@ pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
 /// without channels; `flux_e` is the star's in each. Returns the name of the HDU, which has the cards of [`image_cards`].
 pub(crate) fn channel_images<A: Copy + Into<f64>>(
     file: &mut FitsWriter,
-    scene: &Scene,
+    scene: &System,
     number: usize,
     images_e: &Array3<A>,
     flux_e: f64,
@@ -44,7 +44,7 @@ pub(crate) fn channel_images<A: Copy + Into<f64>>(
     if let Some(channel) = channel {
         file.card(&hdu, CHANNEL, channel.name.as_str(), "name of the channel")?;
     }
-    image_cards(file, &hdu, channel.map_or(scene, |channel| &channel.scene), flux_e)?;
+    image_cards(file, &hdu, channel.map_or(scene, |channel| &channel.system), flux_e)?;
     Ok(hdu)
 }
 
@@ -54,7 +54,7 @@ pub(crate) fn channel_hdu(name: &str, number: usize) -> String {
 }
 
 /// Side of the scene's grid, m.
-pub(crate) fn grid_m(scene: &Scene) -> Result<f64> {
+pub(crate) fn grid_m(scene: &System) -> Result<f64> {
     scene.grid_m().ok_or_else(no_grid)
 }
 
@@ -63,7 +63,7 @@ fn no_grid() -> Error {
 }
 
 /// Writes the cards of the images in `hdu`: noise, flux, sampling, exposure.
-pub(crate) fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_e: f64) -> Result<()> {
+pub(crate) fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &System, flux_e: f64) -> Result<()> {
     let image = &scene.image;
     for (key, value, comment) in [
         ("RON_E", image.simulated_read_noise_e(), "read noise of a pixel, electrons RMS"),
@@ -85,7 +85,7 @@ pub(crate) fn seed_card(file: &mut FitsWriter, hdu: &str, key: &str, seed: u64, 
 }
 
 /// Writes the truth: both maps, and the table of segments.
-pub(crate) fn truth(file: &mut FitsWriter, scene: &Scene, truth: &Truth) -> Result<()> {
+pub(crate) fn truth(file: &mut FitsWriter, scene: &System, truth: &Truth) -> Result<()> {
     file.map("TRUTH_PHASING", &truth.phasing_nm, "nm", grid_m(scene)?)?;
     file.map("TRUTH_NCPA", &truth.ncpa_nm, "nm", grid_m(scene)?)?;
     let tilt = |axis: usize| truth.tip_tilt_nm.iter().map(|tilts| tilts[axis]).collect();

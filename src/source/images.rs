@@ -3,7 +3,7 @@
 use super::camera::{Camera, expose, flux_e};
 use super::random::stream;
 use super::truth::Truth;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
@@ -27,7 +27,7 @@ pub struct SourceImages {
 /// # Errors
 /// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations
 /// that drift, which needs the time axis of an AO simulation, and for channels: [`simulate_channels`].
-pub fn simulate(scene: &Scene) -> Result<SourceImages> {
+pub fn simulate(scene: &System) -> Result<SourceImages> {
     scene.refuse_channels("the images of one camera")?;
     simulate_channel(scene, 0, &|truth, _, _| Ok(truth))
 }
@@ -36,29 +36,29 @@ pub fn simulate(scene: &Scene) -> Result<SourceImages> {
 ///
 /// # Errors
 /// As [`simulate`].
-pub fn simulate_channels(scene: &Scene) -> Result<Vec<SourceImages>> {
+pub fn simulate_channels(scene: &System) -> Result<Vec<SourceImages>> {
     simulate_channels_with(scene, &|truth, _, _| Ok(truth))
 }
 
 /// A change of the aberrations that a scene and its telescope have.
-pub type ChangeOfTruth<'a> = dyn Fn(Truth, &Scene, &Telescope) -> Result<Truth> + 'a;
+pub type ChangeOfTruth<'a> = dyn Fn(Truth, &System, &Telescope) -> Result<Truth> + 'a;
 
 /// As [`simulate_channels`], with aberrations that `change` makes of those that were drawn, such as what corrections leave of them.
 ///
 /// # Errors
 /// As [`simulate`], and those of `change`.
-pub fn simulate_channels_with(scene: &Scene, change: &ChangeOfTruth) -> Result<Vec<SourceImages>> {
+pub fn simulate_channels_with(scene: &System, change: &ChangeOfTruth) -> Result<Vec<SourceImages>> {
     match scene.channels() {
         [] => Ok(vec![simulate_channel(scene, 0, change)?]),
         channels => {
             let each = channels.iter().enumerate();
-            each.map(|(number, channel)| simulate_channel(&channel.scene, number as u64, change)).collect()
+            each.map(|(number, channel)| simulate_channel(&channel.system, number as u64, change)).collect()
         }
     }
 }
 
 /// Images of the channel `number`, whose scene this is.
-fn simulate_channel(scene: &Scene, number: u64, change: &ChangeOfTruth) -> Result<SourceImages> {
+fn simulate_channel(scene: &System, number: u64, change: &ChangeOfTruth) -> Result<SourceImages> {
     if scene.faults.drift_nm_per_min > 0.0 {
         return Err(Error::Scene(format!(
             "{}: faults.drift_nm_per_min = {} has no meaning for images of an artificial source; 0 is accepted",
@@ -87,7 +87,7 @@ fn simulate_channel(scene: &Scene, number: u64, change: &ChangeOfTruth) -> Resul
     let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
     for (image, mut out) in images_e.outer_iter_mut().enumerate() {
         if let Some(turn_deg) = turns_deg.get(image) {
-            let own = scene.with(&[("image.pupil_turns_deg", &format!("[{turn_deg}]"))])?;
+            let own = scene.with(|sections| sections.image.pupil_turns_deg = Some(vec![*turn_deg]))?;
             psf = psf_of(&own, &Telescope::new(&own)?, &truth)?;
         }
         let mut rng = stream(seed, number * CHANNEL_STREAMS + 1 + image as u64);
@@ -97,6 +97,6 @@ fn simulate_channel(scene: &Scene, number: u64, change: &ChangeOfTruth) -> Resul
 }
 
 /// The PSF of `scene` with these aberrations.
-fn psf_of(scene: &Scene, telescope: &Telescope, truth: &Truth) -> Result<Array2<f64>> {
+fn psf_of(scene: &System, telescope: &Telescope, truth: &Truth) -> Result<Array2<f64>> {
     Camera::new(scene, telescope)?.psf(truth)
 }

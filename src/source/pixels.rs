@@ -2,7 +2,7 @@
 
 use super::random::stream;
 use crate::fourier::PixelResponse;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::pixel_response;
 use cophase_numerics::fft::{FftDirection, FftReal};
 use ndarray::{Array2, Axis};
@@ -22,7 +22,7 @@ pub(crate) struct DetectorPixels {
 
 impl DetectorPixels {
     /// Pixels of `scene`.
-    pub(crate) fn new(scene: &Scene) -> Self {
+    pub(crate) fn new(scene: &System) -> Self {
         let seed = scene.seed();
         Self { area: pixel_response(scene), response_rms: scene.faults.pixel_response_rms, seed }
     }
@@ -74,6 +74,7 @@ fn integrate_over_pixels(psf: Array2<f64>, area: PixelResponse) -> Array2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn a_pixel_integrates_over_its_area() {

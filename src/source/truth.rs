@@ -2,7 +2,7 @@
 
 use crate::modes::{SmoothBasis, Zernikes, noll_orders};
 use crate::pupil::Pupil;
-use crate::scene::{AberrationScene, NollRange as Span, Scene, SegmentModes};
+use crate::scene::{AberrationScene, NollRange as Span, SegmentModes, System};
 use crate::telescope::{MapOnGrid, OpdMap, Telescope};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -47,7 +47,7 @@ impl Truth {
     ///
     /// # Errors
     /// [`Error::File`] for an NCPA map that cannot be read, and one with cards of the segments where the scene draws these.
-    pub fn draw(scene: &Scene, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
+    pub fn draw(scene: &System, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
         let segments = telescope.pupil.segments.len();
         let Some(aberrations) = &scene.aberrations else {
             return Self::assemble(telescope, vec![0.0; segments], vec![[0.0; 2]; segments], Ncpa::None);

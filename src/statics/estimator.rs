@@ -18,7 +18,7 @@ use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
 use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
 use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
-use crate::scene::{AoKnowledge, Scene};
+use crate::scene::{AoKnowledge, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
@@ -45,7 +45,7 @@ const SLOPE_TOLERANCE_NM: f64 = 0.2;
 
 /// Estimator of static errors: what all iterations over a sequence share.
 pub(super) struct StaticsEstimator<'a> {
-    scene: &'a Scene,
+    scene: &'a System,
     pub(super) telescope: Telescope,
     all_samples: IlluminatedSamples,
     /// Indices of the samples that are used.
@@ -76,7 +76,7 @@ struct LastEstimate {
 
 impl<'a> StaticsEstimator<'a> {
     pub(super) fn new(
-        scene: &'a Scene,
+        scene: &'a System,
         source: &dyn WavefrontSource,
         settings: &StaticsSettings,
         cancel: Option<&'a CancelFlag>,
@@ -335,7 +335,7 @@ struct SampledLoopResponse {
 
 impl SampledLoopResponse {
     /// The response to the pistons, about pistons of `about_nm`.
-    fn new(scene: &Scene, samples: &IlluminatedSamples, kept: &[usize], about_nm: &[f64]) -> Result<Self> {
+    fn new(scene: &System, samples: &IlluminatedSamples, kept: &[usize], about_nm: &[f64]) -> Result<Self> {
         let mut closed_loop = ClosedLoopResponse::new(scene, samples)?;
         let linear_commands = closed_loop.linear_commands(about_nm, 0..about_nm.len())?;
         let (kept, about_nm, offset_nm) = (kept.to_vec(), about_nm.to_vec(), Array1::zeros(kept.len()));

@@ -14,7 +14,7 @@ use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use crate::linear_algebra::combination;
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::StaticWavefront;
-use crate::scene::{AoKnowledge, Scene};
+use crate::scene::{AoKnowledge, System};
 use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1, Axis};
 
@@ -32,7 +32,7 @@ const LARGEST_LEFT_OUT: f64 = 0.5;
 /// Those of the source, of the telescope and of the loop; [`Error::Image`] where fewer than two images can be used;
 /// [`Error::Interrupted`].
 pub fn estimate_static_errors(
-    scene: &Scene,
+    scene: &System,
     source: &mut dyn WavefrontSource,
     settings: &StaticsSettings,
     cancel: Option<&CancelFlag>,
@@ -89,7 +89,7 @@ struct IterativeEstimate<'a> {
 
 impl<'a> IterativeEstimate<'a> {
     fn new(
-        scene: &'a Scene,
+        scene: &'a System,
         source: &dyn WavefrontSource,
         settings: &'a StaticsSettings,
         cancel: Option<&'a CancelFlag>,

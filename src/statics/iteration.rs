@@ -8,7 +8,7 @@ use crate::Result;
 use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
 use crate::modal::{DiversityProjection, check_reachable};
 use crate::modes::SegmentModes;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 use ndarray::{Array2, s};
 
@@ -96,7 +96,7 @@ impl Iteration {
     ///
     /// # Errors
     /// Those of [`Corrections::new`].
-    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
+    pub fn corrections(&self, scene: &System, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
         let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
         let segments = self.errors.segment_modes();
         let errors = CorrectableErrors {

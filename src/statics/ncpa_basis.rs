@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::modes::{self, SmoothBasis};
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 
 /// Slopes of the lenslets' disc for each identifiable Zernike mode: two thirds of them are in the pupil.
@@ -45,7 +45,7 @@ impl NcpaBasis {
     ///
     /// # Errors
     /// Those of making the bases.
-    pub fn new(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<Self> {
+    pub fn new(family: NcpaFamily, scene: &System, telescope: &Telescope) -> Result<Self> {
         let basis = Self::without_petals(family, scene, telescope)?;
         let Some(petals) = telescope.petals(scene.modes.petals)? else { return Ok(basis) };
         let (petals, pupil) = (SmoothBasis::petals(petals), &telescope.pupil);
@@ -54,7 +54,7 @@ impl NcpaBasis {
         Ok(Self { modes, groups: [basis.groups, vec![added]].concat(), orders: basis.orders })
     }
 
-    fn without_petals(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<Self> {
+    fn without_petals(family: NcpaFamily, scene: &System, telescope: &Telescope) -> Result<Self> {
         let orders = |last: usize| (1..=last).map(|order| order + 1).collect::<Vec<_>>();
         // Orders 1 to n hold Noll's 2 to (n + 1)(n + 2)/2.
         let zernikes = |last: usize| modes::zernike_basis(2, (last + 1) * (last + 2) / 2, &telescope.pupil);
@@ -84,7 +84,7 @@ impl NcpaBasis {
 }
 
 /// Number of modes that the sensor of `scene` identifies, given the slopes of the lenslets' disc that each needs.
-fn identifiable_modes(scene: &Scene, slopes_per_mode: f64) -> f64 {
+fn identifiable_modes(scene: &System, slopes_per_mode: f64) -> f64 {
     scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
         // Two slopes for each lenslet of a disc.
         std::f64::consts::FRAC_PI_2 * (sensor.lenslets_across as f64).powi(2) / slopes_per_mode
@@ -92,7 +92,7 @@ fn identifiable_modes(scene: &Scene, slopes_per_mode: f64) -> f64 {
 }
 
 /// Highest order whose modes the sensor of `scene` identifies, at most `wanted`.
-fn highest_order(scene: &Scene, wanted: usize) -> usize {
+fn highest_order(scene: &System, wanted: usize) -> usize {
     let modes = identifiable_modes(scene, SLOPES_PER_ZERNIKE);
     (2..=wanted).rev().find(|&order| ((order + 1) * (order + 2) / 2 - 1) as f64 <= modes).unwrap_or(1)
 }
@@ -100,6 +100,7 @@ fn highest_order(scene: &Scene, wanted: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn the_number_of_modes_follows_the_sensor() {

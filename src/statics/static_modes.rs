@@ -12,7 +12,7 @@ use crate::modal::{DiversityProjection, GlobalMotions, ModeProjector};
 use crate::modes::{Basis, SegmentModes, SmoothBasis};
 use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use std::ops::Range;
@@ -52,7 +52,7 @@ impl StaticModes {
     /// Those of making the bases.
     pub(super) fn new(
         (segment_modes, family): (SegmentModes, NcpaFamily),
-        scene: &Scene,
+        scene: &System,
         telescope: &Telescope,
         (samples, kept): (&IlluminatedSamples, &[usize]),
         is_loop_known: bool,
@@ -226,7 +226,7 @@ impl StaticModes {
 }
 
 /// Covariance of the NCPA's modes from an error of the diversity, nm².
-fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &Scene) -> Result<Option<Array2<f64>>> {
+fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &System) -> Result<Option<Array2<f64>>> {
     let fraction = scene.estimate.diversity_error;
     let left = 100.0 * diversity.residual_share;
     let remedy = format!("the full-phase estimate's modes leave {left:.0} % of this one, and hold a focus");
@@ -237,7 +237,7 @@ fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &Scene) -> R
 ///
 /// # Errors
 /// [`Error::Scene`]; those of making the modes.
-pub(crate) fn check_diversity(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<()> {
+pub(crate) fn check_diversity(family: NcpaFamily, scene: &System, telescope: &Telescope) -> Result<()> {
     if scene.estimate.diversity_error > 0.0 {
         let sampled = NcpaBasis::new(family, scene, telescope)?.modes.sampled(&telescope.pupil)?;
         diversity_covariance_nm2(&DiversityProjection::new(scene, telescope, &sampled, 0)?, scene)?;

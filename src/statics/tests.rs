@@ -7,7 +7,7 @@ use crate::Result;
 use crate::ao::{Frame, Progress, Recorder, Schedule, Shot, Simulator};
 use crate::metrics::residual_nm;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
-use crate::scene::{AoKnowledge, Scene};
+use crate::scene::{AoKnowledge, Scene, System};
 use ndarray::{Array1, Array2};
 
 mod segment_tilts;
@@ -216,7 +216,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     let (simulator, run) = run();
     let wavefront_nm = run.wavefronts_nm();
     let fraction = 0.1;
-    let find = |scene: &Scene| -> Iteration {
+    let find = |scene: &System| -> Iteration {
         let reduced_chi2 = vec![1.0; wavefront_nm.nrows()];
         let sequence = RetrievedSequence { wavefront_nm: wavefront_nm.clone(), reduced_chi2, slopes_mas: None };
         let settings = StaticsSettings { ao_knowledge: AoKnowledge::Loop, ..StaticsSettings::default() };
@@ -226,7 +226,8 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
             .unwrap()
     };
     let known = simulator.scene();
-    let (sure, mut unsure) = (find(known), find(&known.with_override("estimate.diversity_error", "0.1").unwrap()));
+    let (sure, mut unsure) =
+        (find(known), find(&known.with(|sections| sections.estimate.diversity_error = 0.1).unwrap()));
     assert_eq!(sure.coefficients_nm(), unsure.coefficients_nm());
     let (known_nm, total_nm) = (sure.error_budget.total_nm, unsure.error_budget.total_nm);
     assert_eq!((sure.error_budget.averaged_nm(), unsure.error_budget.averaged_nm()), (known_nm, known_nm));

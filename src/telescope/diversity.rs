@@ -4,7 +4,7 @@ use super::map_on_grid::MapOnGrid;
 use super::model::Telescope;
 use super::opd::OpdMap;
 use crate::pupil::Pupil;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 
 /// Diversity of a scene at any point of the pupil plane.
@@ -29,7 +29,7 @@ impl Diversity {
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read.
-    pub fn new(scene: &Scene, telescope: &Telescope) -> Result<Self> {
+    pub fn new(scene: &System, telescope: &Telescope) -> Result<Self> {
         let pupil = &telescope.pupil;
         if let Some(file) = &scene.image.diversity_file {
             let path = scene.resolve(file);
@@ -78,6 +78,7 @@ impl Diversity {
 mod tests {
     use super::*;
     use crate::grid::Grid;
+    use crate::scene::Scene;
     use approx::assert_relative_eq;
     use ndarray::Array2;
 

@@ -14,7 +14,7 @@ use super::diversity::Diversity;
 use super::filter_file;
 use super::model::Telescope;
 use super::spectrum::Spectrum;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 
 /// Largest width of a curve relative to `image.wavelength_nm`: twice that of a top hat, for a leak far from the filter. Beyond it a model
@@ -40,7 +40,7 @@ impl Filter {
     ///
     /// # Errors
     /// [`Error::File`] for `image.filter_file` if it cannot be read, is not a table, or does not pass `image.wavelength_nm`.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &System) -> Result<Self> {
         let image = &scene.image;
         let (width, reference_nm) = (image.bandwidth_fraction, image.wavelength_nm);
         let Some(file) = &image.filter_file else {
@@ -135,7 +135,7 @@ impl Filter {
 
     /// Number of wavelengths for the spot of `scene`: the error is a thousandth of the effect of the filter's width. 1 for a
     /// monochromatic scene.
-    pub(crate) fn wavelengths_needed(&self, scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> usize {
+    pub(crate) fn wavelengths_needed(&self, scene: &System, telescope: &Telescope, diversity: &Diversity) -> usize {
         wavelengths_to(diversity.spot(&telescope.pupil, scene.image.wavelength_nm), self.width())
     }
 }
@@ -143,6 +143,7 @@ impl Filter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
     use std::path::Path;
 
     fn keck(settings: &[(&str, &str)]) -> Scene {

@@ -10,7 +10,7 @@ use super::opd::{check_width, unit_nm, width_m};
 use super::valid_map;
 use crate::io::{self, FitsReader, aot};
 use crate::modes::{InfluenceFunctions, MeasuredInfluence, Mirror};
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::{ArrayD, Ix2, Ix3};
 use std::path::Path;
@@ -25,7 +25,7 @@ impl Telescope {
     ///
     /// # Errors
     /// Those of [`Mirror::new`].
-    pub fn mirror(scene: &Scene) -> Result<Mirror> {
+    pub fn mirror(scene: &System) -> Result<Mirror> {
         Mirror::new(scene.mirror.actuators_across, scene.mirror.pitch_m, scene.mirror.coupling)
     }
 
@@ -33,7 +33,7 @@ impl Telescope {
     ///
     /// # Errors
     /// Those of [`Telescope::mirror`], [`Mirror::near`], [`Telescope::mapped_actuators`] and [`Telescope::measured_influence`].
-    pub fn influence(&self, scene: &Scene) -> Result<InfluenceFunctions> {
+    pub fn influence(&self, scene: &System) -> Result<InfluenceFunctions> {
         let mirror = Self::mirror(scene)?;
         let near = mirror.near(&self.pupil, Mirror::DEFAULT_MARGIN_PITCHES)?;
         let Some((path, measured)) = self.read_influence(scene)? else { return Ok(near) };
@@ -57,7 +57,7 @@ impl Telescope {
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read; those of [`Telescope::mirror`].
-    pub fn mapped_actuators(scene: &Scene) -> Result<Option<InfluenceFunctions>> {
+    pub fn mapped_actuators(scene: &System) -> Result<Option<InfluenceFunctions>> {
         let Some(file) = &scene.mirror.actuator_file else { return Ok(None) };
         let path = scene.resolve(file);
         let mirror = Self::mirror(scene)?;
@@ -73,7 +73,7 @@ impl Telescope {
     /// # Errors
     /// [`Error::File`] for a file that cannot be read, or whose functions are not finite, 0 everywhere, of another unit than a length, far
     /// from 1 relative to the command, narrower than the pupil, or of other actuators.
-    pub fn measured_influence(&self, scene: &Scene, actuators: InfluenceFunctions) -> Result<InfluenceFunctions> {
+    pub fn measured_influence(&self, scene: &System, actuators: InfluenceFunctions) -> Result<InfluenceFunctions> {
         match self.read_influence(scene)? {
             Some((path, measured)) => actuators.measured(measured).map_err(|error| Error::file(&path, error)),
             None => Ok(actuators),
@@ -81,7 +81,7 @@ impl Telescope {
     }
 
     /// The functions of the scene's file, and its path; `None` where it names none.
-    fn read_influence(&self, scene: &Scene) -> Result<Option<(std::path::PathBuf, Arc<MeasuredInfluence>)>> {
+    fn read_influence(&self, scene: &System) -> Result<Option<(std::path::PathBuf, Arc<MeasuredInfluence>)>> {
         let Some(file) = &scene.mirror.influence_file else { return Ok(None) };
         let path = scene.resolve(file);
         let command_nm = scene.control.as_ref().map_or(1.0, |control| control.matrix_command_nm);

@@ -4,7 +4,7 @@ use crate::grid::Grid;
 use crate::io;
 use crate::modes::VonKarman;
 use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, PupilParts, SegmentWeights};
-use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, Scene};
+use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, System};
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::{Arc, OnceLock};
@@ -48,11 +48,11 @@ impl Telescope {
     /// # Errors
     /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible
     /// one.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &System) -> Result<Self> {
         Ok(Self { illumination: scene.pupil.illumination(), ..Self::evenly_illuminated(scene)? })
     }
 
-    fn evenly_illuminated(scene: &Scene) -> Result<Self> {
+    fn evenly_illuminated(scene: &System) -> Result<Self> {
         if scene.purpose() == Purpose::Arrays {
             let name = scene.name();
             return Err(Error::Scene(format!(
@@ -95,7 +95,7 @@ impl Telescope {
         })
     }
 
-    fn from_file(scene: &Scene, path: &std::path::Path) -> Result<Self> {
+    fn from_file(scene: &System, path: &std::path::Path) -> Result<Self> {
         let mut file = io::FitsReader::open(path)?;
         let named =
             |file: &io::FitsReader, name: &str| file.names().iter().any(|n| n == name).then(|| name.to_string());
@@ -114,7 +114,7 @@ impl Telescope {
     ///
     /// # Errors
     /// Those of [`Telescope::from_maps`].
-    pub fn of_maps(scene: &Scene, width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
+    pub fn of_maps(scene: &System, width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let (size, samples) = (even_side(&amplitude)?, scene.pupil.samples);
         let illumination = scene.pupil.illumination();
         if size < 2 * samples || scene.pupil.model == Some(PupilModel::Hard) {
@@ -339,7 +339,7 @@ impl Telescope {
     ///
     /// # Errors
     /// Those of [`VonKarman::new`].
-    pub fn turbulence(scene: &Scene) -> Result<VonKarman> {
+    pub fn turbulence(scene: &System) -> Result<VonKarman> {
         VonKarman::new(scene.turbulence.r0_m, scene.turbulence.outer_scale_m)
     }
 }
@@ -399,6 +399,7 @@ fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn amplitudes_are_normalised_by_light_or_refused() {

@@ -14,7 +14,7 @@ use super::continuation::continued;
 use super::map_on_grid::MapOnGrid;
 use crate::io::{Card, FitsReader};
 use crate::pupil::Pupil;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::path::Path;
@@ -118,7 +118,7 @@ pub fn likely_unit(values_nm: impl Iterator<Item = f64>) -> Option<String> {
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, or whose unit is no length.
-pub fn unit_remark(scene: &Scene) -> Result<Option<String>> {
+pub fn unit_remark(scene: &System) -> Result<Option<String>> {
     let Some(file) = &scene.image.diversity_file else { return Ok(None) };
     let path = scene.resolve(file);
     let is_stated = unit_nm(&mut FitsReader::open(&path)?)?.is_some();

@@ -2,7 +2,7 @@
 
 use crate::io::Column;
 use crate::pupil::Segment;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 
 /// Place of a segment: what identifies it on another numbering than ours.
@@ -23,7 +23,7 @@ pub struct SegmentPlace {
 
 impl SegmentPlace {
     /// Places of `segments`, which are those of `scene`.
-    pub fn all(scene: &Scene, segments: &[Segment]) -> Vec<Self> {
+    pub fn all(scene: &System, segments: &[Segment]) -> Vec<Self> {
         let hexagons = scene.pupil.layout().map(|layout| layout.hexagons());
         let place = |(number, segment): (usize, &Segment)| {
             let ring = hexagons.as_ref().and_then(|hexagons| hexagons.get(number)).map(|hexagon| hexagon.ring);
@@ -79,6 +79,7 @@ impl SegmentPlace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
     use crate::telescope::Telescope;
 
     #[test]

@@ -12,7 +12,7 @@
 
 use super::threshold::normal_cdf;
 use crate::linear_algebra::SpdInverse;
-use crate::scene::{Scene, SegmentConvention};
+use crate::scene::{SegmentConvention, System};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use std::f64::consts::PI;
@@ -246,7 +246,7 @@ impl Block<'_, '_> {
 
 impl CorrectionPolicy {
     /// The policy in the section `[commands]` of a scene, without a stroke limit.
-    pub fn of_scene(scene: &Scene) -> Self {
+    pub fn of_scene(scene: &System) -> Self {
         let commands = &scene.commands;
         Self {
             gain: commands.gain,

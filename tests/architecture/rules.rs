@@ -21,7 +21,7 @@ pub struct Rules {
     pub modules: BTreeMap<String, Module>,
     /// Places, and the modules that they may use besides those of their own module's row.
     exceptions: Vec<(Names, Names)>,
-    /// Names from outside the crate, and the only places where they may stand.
+    /// Names from outside the crate, and items of its modules, and the only places where they may stand.
     pub confined: Vec<(Names, Names)>,
     /// Crates that the library must not depend on.
     pub absent: Names,
@@ -165,7 +165,10 @@ impl Rules {
         }
         for (names, places) in &self.confined {
             if !places.iter().any(|place| lies_in(file, place)) {
-                let strays = names.intersection(&source.outside);
+                let of_door = |name: &String| exported.get(name).map(|module| format!("{module}::{name}"));
+                let named: Names =
+                    source.outside.iter().cloned().chain(source.uses.iter().filter_map(of_door)).collect();
+                let strays = names.intersection(&named);
                 violations.extend(strays.map(|name| format!("{file}.rs: `{name}` belongs in {places:?} only")));
             }
         }

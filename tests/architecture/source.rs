@@ -11,7 +11,7 @@ pub struct Source {
     /// `grid`. A glob of the root gives `*`, the root itself `self`. Those of another package of the workspace have its crate
     /// with them: `cophase_view::plot`.
     pub uses: BTreeSet<String>,
-    /// First names of all other paths, so those of other crates; and `extern "C"`.
+    /// First names of all other paths, so those of other crates; `extern "C"`; and items of the crate's modules, as `scene::Scene`.
     pub outside: BTreeSet<String>,
     /// Files declared as `#[cfg(test)] mod name;`: their paths under `src`, without `.rs`.
     pub test_files: Vec<String>,
@@ -74,6 +74,8 @@ impl Source {
                 "self" if before_colons(tokens, at) => self.follow(tokens, at + 3, depth, owner),
                 name if depth == 0 => {
                     self.uses.insert(format!("{owner}{name}"));
+                    let within = Self::items_of(tokens, at);
+                    self.outside.extend(within.into_iter().map(|item| format!("{owner}{name}::{item}")));
                 }
                 _ => {}
             },
@@ -86,6 +88,20 @@ impl Source {
                 }
             }
             _ => {}
+        }
+    }
+
+    /// The items of the module at `at` that a path names directly.
+    fn items_of(tokens: &[TokenTree], at: usize) -> Vec<String> {
+        if !before_colons(tokens, at) {
+            return Vec::new();
+        }
+        match tokens.get(at + 3) {
+            Some(TokenTree::Ident(name)) => vec![name.to_string()],
+            Some(TokenTree::Group(group)) => {
+                branches(group.stream()).iter().filter_map(|branch| ident(branch, 0)).collect()
+            }
+            _ => Vec::new(),
         }
     }
 

@@ -16,8 +16,8 @@ fn run(folder: &TempDir, text: &str) -> [PathBuf; 2] {
     let mut shots: Vec<Shot> = Vec::new();
     let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
     let paths = ["own.fits", "aot.fits"].map(|name| folder.path().join(name));
-    ao::write(&paths[0], &simulator, &shots, &summary).unwrap();
-    ao::write_aot(&paths[1], &simulator, &shots, &summary).unwrap();
+    ao::write(&paths[0], scene.text(), &simulator, &shots, &summary).unwrap();
+    ao::write_aot(&paths[1], scene.text(), &simulator, &shots, &summary).unwrap();
     paths
 }
 

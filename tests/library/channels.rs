@@ -195,7 +195,7 @@ fn ao_channels_are_estimated_with_their_own_telemetry() {
     let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
-    ao::write(&path, &simulator, &shots, &summary).unwrap();
+    ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();
     let read = Images::read_channels(&path, None).unwrap();
     assert_eq!(read.iter().map(|images| images.channel.as_deref()).collect::<Vec<_>>(), [Some("plus"), Some("minus")]);
     let mut file = FitsReader::open(&path).unwrap();

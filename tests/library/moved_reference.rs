@@ -12,7 +12,7 @@ fn images(scene: &Scene, sent: &[SentCorrections], path: &Path) -> Images {
     let mut simulator = SentCorrections::system(sent, scene).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
     let summary = simulator.run(&mut shots, &mut Progress { watch: None, cancel: None }).unwrap();
-    ao::write(path, &simulator, &shots, &summary).unwrap();
+    ao::write(path, scene.text(), &simulator, &shots, &summary).unwrap();
     Images::read(path, None).unwrap()
 }
 

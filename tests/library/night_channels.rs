@@ -27,7 +27,7 @@ fn simulated(scene: &Scene) -> Vec<Images> {
     let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
-    ao::write(&path, &simulator, &shots, &summary).unwrap();
+    ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();
     Images::read_channels(&path, None).unwrap()
 }
 

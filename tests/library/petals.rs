@@ -169,7 +169,7 @@ fn petals_are_static_modes_of_a_full_phase_estimate() {
     let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
-    ao::write(&path, &simulator, &shots, &summary).unwrap();
+    ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();
     let images = Images::read(&path, None).unwrap();
     let [without, with] = ["none", "piston"].map(|petals| {
         let scene = scene.with_override("modes.petals", petals).unwrap();

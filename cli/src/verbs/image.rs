@@ -110,7 +110,7 @@ fn make(
         })?
     };
     interrupt.check("the images were made, nothing was written")?;
-    source::write(output, scene, &made)?;
+    source::write(output, scene, scene.text(), &made)?;
     let pupil = Telescope::new(scene)?.pupil;
     let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
     let Some(first) = made.first() else { return Err(Error::Internal("no images were made".into())) };

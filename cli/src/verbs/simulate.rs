@@ -3,7 +3,7 @@
 use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
 use cophase::pipeline::{Part, SentCorrections};
-use cophase::scene::Scene;
+use cophase::scene::{Scene, System};
 use cophase_view::files::{self, Settings};
 use cophase_view::interrupt::Interrupt;
 use cophase_view::outputs::{self, Flagged};
@@ -136,9 +136,9 @@ fn one(
     super::image::check_memory(&scene)?;
     let sent = arguments.corrections.iter().map(|path| SentCorrections::read(path)).collect::<Result<Vec<_>>>()?;
     let (simulator, shots, summary) = simulate(&scene, &sent, terminal, interrupt)?;
-    ao::write(output, &simulator, &shots, &summary)?;
+    ao::write(output, scene.text(), &simulator, &shots, &summary)?;
     if let Some(path) = &arguments.aot {
-        ao::write_aot(path, &simulator, &shots, &summary)?;
+        ao::write_aot(path, scene.text(), &simulator, &shots, &summary)?;
     }
     simulator.warnings().iter().for_each(|warning| terminal.warn(warning));
     if let Some(divergence) = summary.divergence {
@@ -213,7 +213,7 @@ fn sizes(scene: &Scene, shots: &[Shot]) -> String {
 }
 
 /// Number of images of each channel; empty for a scene without channels.
-fn channel_images(scene: &Scene, shots: &[Shot]) -> Vec<usize> {
+fn channel_images(scene: &System, shots: &[Shot]) -> Vec<usize> {
     let count = |channel| shots.iter().filter(|shot| shot.channel == channel).count();
     (0..scene.channels().len()).map(count).collect()
 }

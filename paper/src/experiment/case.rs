@@ -137,7 +137,7 @@ impl Case {
     /// # Errors
     /// As [`Case::fit`].
     pub fn fit_changed(&self, change: &str, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
-        let key = XxHash3_128::oneshot((self.estimator.scene().text().to_owned() + change).as_bytes());
+        let key = XxHash3_128::oneshot(format!("{:?}{change}", **self.estimator.scene()).as_bytes());
         let batches = draws.par_chunks(BATCH).enumerate().map(|(number, batch)| {
             let (row, first) = (format!("{key:032x}, {} draws", batch.len()), batch[0].seed);
             // The first batch of each case is of another part, so that many small cases are spread.

@@ -144,7 +144,7 @@ fn measure(scene: &Scene, sent: &[SentCorrections], progress: &Progress) -> Resu
     let summary = simulator.run(&mut shots, watch)?;
     let folder = tempfile::tempdir().map_err(|error| Error::file(std::env::temp_dir(), error))?;
     let path = folder.path().join("images.fits");
-    ao::write(&path, &simulator, &shots, &summary)?;
+    ao::write(&path, scene.text(), &simulator, &shots, &summary)?;
     let estimate = Estimator::new(scene)?.estimate(&Images::read(&path, None)?)?;
     let sigma_nm = [estimate.phasing.sigma_nm, estimate.ncpa.sigma_nm];
     Ok((estimate.corrections(None)?, sigma_nm, estimate.seconds))

@@ -69,15 +69,14 @@ impl Sequence {
         let scene = row.scene(conditions)?;
         let seed = seed.to_string();
         if !row.has_loop() {
-            let made = source::simulate(&scene.with_override("aberrations.seed", &seed)?)?;
+            let drawn = scene.with_override("aberrations.seed", &seed)?;
+            let made = source::simulate(&drawn)?;
             let slopes_mas = Array2::zeros((made.images_e.len_of(Axis(0)), 0));
             let (phasing_nm, ncpa_nm) = (made.truth.phasing_nm, made.truth.ncpa_nm);
             return Ok(Self { images_e: made.images_e, slopes_mas, phasing_nm, ncpa_nm, run: None });
         }
-        Self::behind(
-            Simulator::new(&scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?)?,
-            progress,
-        )
+        let drawn = scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?;
+        Self::behind(Simulator::new(&drawn)?, progress)
     }
 
     /// The images that `simulator` is set to take.

@@ -2,7 +2,7 @@
 
 use super::slope_order::SlopeFormat;
 use crate::io::FitsReader;
-use crate::scene::{Scene, SensorScene};
+use crate::scene::{SensorScene, System};
 use crate::{Error, Result};
 use ndarray::{Array1, Axis};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ pub(crate) const MOVED_REFERENCE: &str = "MOVED_REFERENCE";
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, another number of values, or one that is not finite.
-pub(crate) fn reference_slopes(scene: &Scene, sensing: &SensorScene, slopes: usize) -> Result<Option<Array1<f64>>> {
+pub(crate) fn reference_slopes(scene: &System, sensing: &SensorScene, slopes: usize) -> Result<Option<Array1<f64>>> {
     let row = |file: &PathBuf| {
         let path = scene.resolve(file);
         let mut file = FitsReader::open(&path)?;
@@ -31,7 +31,7 @@ pub(crate) fn reference_slopes(scene: &Scene, sensing: &SensorScene, slopes: usi
 /// # Errors
 /// As [`reference_slopes`].
 pub(crate) fn moved_reference(
-    scene: &Scene,
+    scene: &System,
     sensing: &SensorScene,
     format: &SlopeFormat,
 ) -> Result<Option<Array1<f64>>> {
@@ -65,7 +65,7 @@ fn checked(path: &Path, row: Vec<f64>, slopes: usize) -> Result<Array1<f64>> {
 ///
 /// # Errors
 /// As [`reference_slopes`].
-pub(in crate::ao) fn reference_mas(scene: &Scene, sensing: &SensorScene, format: &SlopeFormat) -> Result<Vec<f32>> {
+pub(in crate::ao) fn reference_mas(scene: &System, sensing: &SensorScene, format: &SlopeFormat) -> Result<Vec<f32>> {
     let Some(row) = reference_slopes(scene, sensing, format.slopes())? else { return Ok(Vec::new()) };
     let mas = format.expected_mas(row.view().insert_axis(Axis(0)))?;
     Ok(mas.iter().map(|mas| *mas as f32).collect())

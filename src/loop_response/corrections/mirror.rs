@@ -6,14 +6,14 @@ use crate::ao::actuators_in_use;
 use crate::loop_response::mirror_fit::MirrorFit;
 use crate::modes::Samples;
 use crate::pupil::Pupil;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::telescope::Telescope;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 /// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
 /// pupil. The mirror is subtracted from the wavefront.
 pub(super) fn mirror_commands(
-    scene: &Scene,
+    scene: &System,
     telescope: &Telescope,
     modes: &NcpaModes,
     ncpa_nm: &[f64],

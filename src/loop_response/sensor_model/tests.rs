@@ -1,7 +1,7 @@
 //! What the simulated loop makes of the reference slopes.
 
 use super::*;
-use crate::ao::{Simulator, UNDISTURBED_LOOP};
+use crate::ao::{Simulator, undisturb};
 use crate::modes::Zernikes;
 use crate::retrieval::tests::scene;
 use crate::source::{Truth, stream};
@@ -15,7 +15,7 @@ const NCPA_NM: [(usize, f64); 3] = [(24, 20.0), (62, 20.0), (80, 20.0)];
 fn loop_about_reference_slopes_nearly_makes_the_nearest_shape() {
     // Steps between segments would lower the gain of the quad cells that see them, and there is no turbulence to blur spots.
     let even = ["aberrations.segment_piston_rms_nm", "aberrations.segment_tip_tilt_rms_nm"].map(|key| (key, "0"));
-    let scene = scene().with(&[&UNDISTURBED_LOOP[..], &even].concat()).unwrap();
+    let scene = scene().with(&even).unwrap().system().with(undisturb).unwrap();
     let telescope = Telescope::new(&scene).unwrap();
     let pupil = telescope.pupil.clone();
     let weights = telescope.area_weights(pupil.grid).unwrap();

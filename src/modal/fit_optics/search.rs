@@ -9,10 +9,10 @@ use super::super::mode_set::{ModeSet, SceneBasis};
 use super::super::model::Model;
 use super::super::recipe::Recipe;
 use super::normal::{Iteration, NormalEquations};
-use super::parameter::{self, Parameter, telescope, with_numbers};
+use super::parameter::{self, FittedParameter, telescope, with_numbers};
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
-use crate::scene::{Optic, Scene};
+use crate::scene::{Crop, Optic, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1};
@@ -30,8 +30,8 @@ const MAX_STEP: f64 = 10.0;
 
 /// The search, with what all iterations share.
 pub(super) struct Search<'a> {
-    pub(super) scene: Scene,
-    pub(super) parameters: Vec<Parameter>,
+    pub(super) scene: System,
+    pub(super) parameters: Vec<FittedParameter>,
     /// Steps of the derivatives.
     pub(super) steps: Vec<f64>,
     pub(super) recipe: Recipe,
@@ -127,14 +127,14 @@ impl Search<'_> {
     fn fitted(&self, telescope: &Telescope, own: &[f64], values: &[f64], last: &Iteration) -> Vec<FittedOptic> {
         let mut fitted = Vec::new();
         for (i, parameter) in self.parameters.iter().enumerate() {
-            if let &Parameter::Number(optic, key) = parameter {
+            if let FittedParameter::Number(of) = parameter {
                 let (sigma, identifiable_share) = (last.sigma[i], last.identifiable_share[i]);
                 let (scene, value) = (own[i], values[i]);
-                let number = Some(key);
+                let (optic, number) = (of.optic, Some(of.key));
                 fitted.push(FittedOptic { optic, number, segment: None, scene, value, sigma, identifiable_share });
             }
         }
-        let is_amplitude = |parameter: &Parameter| matches!(parameter, Parameter::Amplitude(_));
+        let is_amplitude = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Amplitude(_));
         let shares = self.parameters.iter().zip(&last.identifiable_share);
         // Of the last segment, which has no parameter, the least of the others.
         let shares: Vec<f64> =
@@ -157,22 +157,26 @@ impl Search<'_> {
 
     fn describe(&self, values: &[f64]) -> String {
         let each = self.parameters.iter().zip(values).map(|(parameter, value)| match parameter {
-            Parameter::Number(_, key) => format!("{key} = {value}"),
-            Parameter::Amplitude(segment) => format!("amplitude {segment} = {value:.3}"),
+            FittedParameter::Number(number) => format!("{} = {value}", number.key),
+            FittedParameter::Amplitude(segment) => format!("amplitude {segment} = {value:.3}"),
         });
         each.collect::<Vec<_>>().join(", ")
     }
 
     /// Karhunen-Loève basis of `scene`: another rotation of the pupil needs another basis.
-    fn basis_of(&self, scene: &Scene) -> Arc<SceneBasis> {
+    fn basis_of(&self, scene: &System) -> Arc<SceneBasis> {
         if same_basis(&self.scene, scene) { self.scene_basis.clone() } else { Arc::default() }
     }
 
     /// Modes of `scene`: another rotation of the pupil needs others.
-    fn modes_of(&self, scene: &Scene) -> Result<ModeSet> {
+    fn modes_of(&self, scene: &System) -> Result<ModeSet> {
         let (recipe, scene_basis) = (&self.recipe, self.basis_of(scene));
         let make = || ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, &scene_basis);
-        if self.parameters.iter().any(|parameter| matches!(parameter, Parameter::Number(Optic::Rotation, _))) {
+        if self
+            .parameters
+            .iter()
+            .any(|parameter| matches!(parameter, FittedParameter::Number(number) if number.optic == Optic::Rotation))
+        {
             return make();
         }
         if let Some(modes) = self.modes.get() {
@@ -183,7 +187,7 @@ impl Search<'_> {
     }
 
     /// Fitter of `scene` with these values of the parameters, whose modes are `modes`.
-    fn fitter(&self, scene: &Scene, values: &[f64], recipe: Recipe, modes: ModeSet) -> Result<ModalFitter> {
+    fn fitter(&self, scene: &System, values: &[f64], recipe: Recipe, modes: ModeSet) -> Result<ModalFitter> {
         let telescope = telescope(scene, &self.parameters, values)?;
         let model = Model::with_modes(scene, &recipe, self.native, telescope, modes)?;
         Ok(ModalFitter { scene_basis: self.basis_of(scene), ..ModalFitter::from_model(scene, recipe, model)? })
@@ -219,7 +223,7 @@ impl Search<'_> {
     /// For each parameter, the models one step below and one step above `values`, for the same modes and pixels.
     fn perturbed_models(
         &self,
-        scene: &Scene,
+        scene: &System,
         estimator: &ModalFitter,
         values: &[f64],
         modes: &ModeSet,
@@ -227,11 +231,12 @@ impl Search<'_> {
         // Models a step apart may select other pixels by themselves: the crop is fixed.
         let plan = estimator.model.preparation;
         let [longest, reduced] = [plan.frame, plan.reduced].map(|side| side[0].max(side[1]));
-        let crop = (plan.pixels * longest).div_ceil(reduced).to_string();
+        let crop = Crop::Pixels((plan.pixels * longest).div_ceil(reduced));
         let model = |number: usize, side: f64| -> Result<CpuChain<f64>> {
             let mut values = values.to_vec();
             values[number] += side * self.steps[number];
-            let perturbed = with_numbers(scene, &self.parameters, &values)?.with(&[("image.crop_pixels", &crop)])?;
+            let perturbed = with_numbers(scene, &self.parameters, &values)?;
+            let perturbed = perturbed.with(|sections| sections.image.crop_pixels = crop)?;
             let telescope = telescope(&perturbed, &self.parameters, &values)?;
             let model = Model::with_modes(&perturbed, &self.recipe, self.native, telescope, modes.clone())?;
             if model.preparation != plan {
@@ -239,12 +244,12 @@ impl Search<'_> {
             }
             Ok(CpuChain::new(model.optics))
         };
-        let pair = |(number, parameter): (usize, &Parameter)| match *parameter {
-            Parameter::Number(..) => {
+        let pair = |(number, parameter): (usize, &FittedParameter)| match *parameter {
+            FittedParameter::Number(..) => {
                 let (below, above) = rayon::join(|| model(number, -1.0), || model(number, 1.0));
                 Ok(Perturbed::Models(Box::new([below?, above?])))
             }
-            Parameter::Amplitude(segment) => Ok(Perturbed::Amplitude(segment)),
+            FittedParameter::Amplitude(segment) => Ok(Perturbed::Amplitude(segment)),
         };
         self.parameters.iter().enumerate().map(pair).collect()
     }

@@ -17,7 +17,7 @@ use super::super::metrics::Metrics;
 use super::super::pistons;
 use super::super::session::ImageResult;
 use super::super::tilts::spanned_tip_and_tilt;
-use crate::scene::Scene;
+use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, s};
 
@@ -73,7 +73,7 @@ impl Combiner {
     /// # Errors
     /// [`Error::Scene`] for channels with other modes than the first, and for an unknown amplitude of a diversity that the modes do not
     /// span; [`Error::Value`] where no mode changes the images.
-    pub(super) fn new(scene: &Scene, fitters: &[&ModalFitter]) -> Result<Self> {
+    pub(super) fn new(scene: &System, fitters: &[&ModalFitter]) -> Result<Self> {
         let first = fitters.first().ok_or_else(|| Error::Internal("no channel is combined".into()))?;
         let modes = first.model.optics.modes();
         if let Some(other) = fitters.iter().find(|fitter| fitter.model.basis.names() != first.model.basis.names()) {

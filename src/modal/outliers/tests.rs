@@ -1,6 +1,7 @@
 //! Outliers that are planted in simulated images.
 
 use super::*;
+use crate::scene::Scene;
 use crate::source;
 use ndarray::Array3;
 

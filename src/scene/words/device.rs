@@ -98,4 +98,10 @@ impl FromToml for Crop {
             Self::Pixels(pixels) => pixels.to_string(),
         }
     }
+    fn is_within(&self, range: &Range) -> bool {
+        match self {
+            Self::Auto => true,
+            Self::Pixels(pixels) => pixels.is_within(range),
+        }
+    }
 }

@@ -45,23 +45,6 @@ words! {
     }
 }
 
-impl Optic {
-    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene, and for the
-    /// illumination, which has several keys.
-    pub fn key(&self) -> Option<&'static str> {
-        match self {
-            Self::PlateScale => Some("image.samples_per_lambda_over_d"),
-            Self::Rotation => Some("pupil.rotation_deg"),
-            Self::Defocus => Some("image.diversity_focus_waves_rms"),
-            Self::Bandwidth => Some("image.bandwidth_fraction"),
-            Self::PixelFill => Some("image.pixel_fill"),
-            Self::Obscuration => Some("pupil.central_obscuration_m"),
-            Self::Spiders => Some("pupil.spider_width_m"),
-            Self::Reflectivities | Self::Illumination => None,
-        }
-    }
-}
-
 words! {
     /// Sampling of the pupil in the model.
     #[derive(Copy)]

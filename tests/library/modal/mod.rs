@@ -9,7 +9,7 @@ mod session;
 
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, estimate_scene};
-use cophase::scene::Scene;
+use cophase::scene::{Scene, System};
 use cophase::source::{self, SourceImages};
 use ndarray::{Array2, Array3, Axis, s};
 
@@ -32,7 +32,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
 }
 
-fn estimate(scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
+fn estimate(scene: &System, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
     let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
     estimate_scene(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()

@@ -4,7 +4,7 @@ use super::scene;
 use cophase::Error;
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{ModalEstimate, ModalFitter, Recipe, Status};
-use cophase::scene::{Combine, Scene};
+use cophase::scene::{Combine, NollRange, Scene, System};
 use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
 use rand::SeedableRng;
@@ -276,7 +276,9 @@ fn modes_that_are_not_there_add_little_to_the_error_bars() {
     let settings = [("image.count", "14"), ("image.peak_snr", "100"), ("aberrations.ncpa_zernikes", "[4, 18]")];
     let (fitter, found, made) = estimate_open(&settings);
     assert_eq!(found.used(), 14);
-    let scene = fitter.scene().with(&[("modes.exact_zernikes", "[2, 21]")]).unwrap();
+    let scene =
+        fitter.scene().with(|sections| sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last: 21 }));
+    let scene = scene.unwrap();
     let (smaller, without) = fit_scene(&scene, &made.images_e);
     let bars = super::promised(&fitter, &found).into_iter().zip(super::promised(&smaller, &without));
     for (with, without) in bars {
@@ -287,6 +289,6 @@ fn modes_that_are_not_there_add_little_to_the_error_bars() {
     }
 }
 
-fn fit_scene(scene: &Scene, images_e: &Array3<f64>) -> (ModalFitter, ModalEstimate) {
+fn fit_scene(scene: &System, images_e: &Array3<f64>) -> (ModalFitter, ModalEstimate) {
     super::estimate(scene, images_e, &images_e.mapv(|_| false))
 }

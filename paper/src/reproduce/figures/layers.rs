@@ -78,7 +78,8 @@ pub fn layers(conditions: &Conditions, seeds: usize, progress: &Progress) -> Res
     let mut first = None;
     for seed in 1..=seeds {
         progress.check()?;
-        let simulator = Simulator::new(&setup::with_seed(&scene, seed)?)?;
+        let drawn = setup::with_seed(&scene, seed)?;
+        let simulator = Simulator::new(&drawn)?;
         let maps_nm = maps(&simulator)?;
         let pupil = simulator.pupil();
         for (row, map_nm) in rows.iter_mut().zip(&maps_nm) {

@@ -5,9 +5,8 @@ use super::setup;
 use crate::reproduce::statistics::{mean, standard_deviation};
 use crate::reproduce::{Cell, Conditions, Progress, Report, Segments, Table};
 use cophase::Result;
-use cophase::ao::Simulator;
-use cophase::ao::UNDISTURBED_LOOP;
-use cophase::scene::Scene;
+use cophase::ao::{Simulator, undisturb};
+use cophase::scene::{Scene, System};
 use cophase_view::plot::{CaptionedMap, MapScale, MapsPicture};
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -60,8 +59,7 @@ impl LeakCase {
     }
 
     fn scene(&self) -> Result<Scene> {
-        let conditions =
-            Conditions { segments: self.segments, settings: UNDISTURBED_LOOP.to_vec(), ..Default::default() };
+        let conditions = Conditions { segments: self.segments, ..Default::default() };
         let fraction = self.mask_dominant_fraction.to_string();
         setup::row(self.row)?.scene(&conditions)?.with_override("wavefront_sensor.mask_dominant_fraction", &fraction)
     }
@@ -121,7 +119,7 @@ pub fn leak(cases: &[LeakCase], seeds: usize, progress: &Progress) -> Result<Lea
         let scene = case.scene()?;
         let draws = (1..=seeds).into_par_iter().map(|seed| {
             progress.check()?;
-            let draw = case.settle(&setup::with_seed(&scene, seed)?, seed)?;
+            let draw = case.settle(&setup::with_seed(&scene, seed)?.system().with(undisturb)?, seed)?;
             progress.add(1);
             Ok(draw)
         });
@@ -138,7 +136,7 @@ pub fn leak(cases: &[LeakCase], seeds: usize, progress: &Progress) -> Result<Lea
 
 impl LeakCase {
     /// Closes the loop of `scene` until the mirror is at rest; maps of the first draw only.
-    fn settle(&self, scene: &Scene, seed: usize) -> Result<(LeakDraw, Vec<CaptionedMap>)> {
+    fn settle(&self, scene: &System, seed: usize) -> Result<(LeakDraw, Vec<CaptionedMap>)> {
         let mut simulator = Simulator::new(scene)?;
         let (commands_nm, frames) = settled_commands_nm(&mut simulator)?;
         let maps_nm = wavefront_maps(&mut simulator, &commands_nm)?;

@@ -8,7 +8,7 @@ use crate::reproduce::figures::{settled_commands_nm, wavefront_maps};
 use crate::reproduce::statistics::{mean, rms, standard_deviation};
 use crate::reproduce::{Cell, Conditions, Progress, Table};
 use cophase::Result;
-use cophase::ao::{Simulator, UNDISTURBED_LOOP};
+use cophase::ao::{Simulator, undisturb};
 use cophase::scene::Scene;
 use cophase_view::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use rayon::prelude::*;
@@ -102,7 +102,7 @@ impl LeakCase {
     fn draw(&self, seed: usize, progress: &Progress) -> Result<Vec<f64>> {
         let seed = seed.to_string();
         let scene = self.scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?;
-        let mut simulator = Simulator::new(&scene.with(&UNDISTURBED_LOOP)?)?;
+        let mut simulator = Simulator::new(&scene.system().with(undisturb)?)?;
         let (still_nm, _) = settled_commands_nm(&mut simulator)?;
         progress.add(1);
         let [input_nm, mirror_nm, _] = rms_of_maps(&mut simulator, &still_nm)?;
