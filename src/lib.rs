@@ -30,42 +30,109 @@
 //! # }
 //! ```
 //!
-//! Every interface (the program, C, Python, MATLAB) calls [`pipeline`]. The other modules are its parts, from the telescope to
-//! the optimiser; `ARCHITECTURE.md` says which module uses which.
+//! # What is here
+//!
+//! | Task | Items |
+//! |---|---|
+//! | images to an estimate | [`Scene`], [`Images`], [`Estimator`], [`Estimate`]; the types of its fields are in [`pipeline`] |
+//! | progress, cancellation, the choices of an estimate | [`Control`], [`Policy`] |
+//! | corrections of segments and mirror | [`Estimate::corrections`], [`pipeline::Corrections`] |
+//! | frames with a deadline, without allocation | [`Session`] |
+//! | the running estimate of a sequence | [`Accumulator`] |
+//! | a telescope as arrays | [`ModalFitter::from_arrays`] |
+//! | drift, jumps and corrections of a night | [`tracking::Tracker`] |
+//! | simulated images, with their truth | [`simulate`], [`Simulator`], [`Stepper`] |
+//! | plan of a model or of an observation | [`planner`], [`pipeline::plan_observation`] |
+//!
+//! These are the interface that versions keep. The feature `internals` makes the parts public (`imaging`, `modal`, `telescope`, …), which
+//! the programs and experiments of this repository use; it has no promise. `ARCHITECTURE.md` says which module uses which.
 
 #![deny(missing_docs)]
+// Parts have items that only the programs and experiments use.
+#![cfg_attr(not(feature = "internals"), allow(dead_code, unused_imports, rustdoc::private_intra_doc_links))]
 
 mod agreement;
-pub mod ao;
 mod atomic;
+#[doc(hidden)]
 pub mod capi;
-pub mod device;
 mod error;
 mod fault;
 mod fourier;
 mod grid;
 mod hexagons;
-pub mod imaging;
-pub mod io;
 mod linear_algebra;
 mod loop_response;
-pub mod machine;
-pub mod metrics;
-pub mod modal;
-pub mod modes;
-pub mod optimize;
 pub mod pipeline;
 pub mod planner;
-pub mod pupil;
-pub mod reduction;
 mod retrieval;
-pub mod scene;
-pub mod source;
 mod statics;
 mod statistics;
-pub mod telescope;
 pub mod tracking;
 
+#[cfg(not(feature = "internals"))]
+mod ao;
+#[cfg(feature = "internals")]
+pub mod ao;
+#[cfg(not(feature = "internals"))]
+mod device;
+#[cfg(feature = "internals")]
+pub mod device;
+#[cfg(not(feature = "internals"))]
+mod imaging;
+#[cfg(feature = "internals")]
+pub mod imaging;
+#[cfg(not(feature = "internals"))]
+mod io;
+#[cfg(feature = "internals")]
+pub mod io;
+#[cfg(not(feature = "internals"))]
+mod machine;
+#[cfg(feature = "internals")]
+pub mod machine;
+#[cfg(not(feature = "internals"))]
+mod metrics;
+#[cfg(feature = "internals")]
+pub mod metrics;
+#[cfg(not(feature = "internals"))]
+mod modal;
+#[cfg(feature = "internals")]
+pub mod modal;
+#[cfg(not(feature = "internals"))]
+mod modes;
+#[cfg(feature = "internals")]
+pub mod modes;
+#[cfg(not(feature = "internals"))]
+mod optimize;
+#[cfg(feature = "internals")]
+pub mod optimize;
+#[cfg(not(feature = "internals"))]
+mod pupil;
+#[cfg(feature = "internals")]
+pub mod pupil;
+#[cfg(not(feature = "internals"))]
+mod reduction;
+#[cfg(feature = "internals")]
+pub mod reduction;
+#[cfg(not(feature = "internals"))]
+mod scene;
+#[cfg(feature = "internals")]
+pub mod scene;
+#[cfg(not(feature = "internals"))]
+mod source;
+#[cfg(feature = "internals")]
+pub mod source;
+#[cfg(not(feature = "internals"))]
+mod telescope;
+#[cfg(feature = "internals")]
+pub mod telescope;
+
+pub use ao::{Recorder, Shot, Simulator, Stepper, Summary};
 pub use error::{Error, Result};
+pub use imaging::{Choice, Precision};
+pub use modal::{
+    Accumulator, Arrays, FitOptions, FittedImage, ImageReport, ImageResult, ModalFitter, Refusal, RejectedPixels,
+    RunningEstimate, Session, SessionOptions, Status,
+};
 pub use pipeline::{Control, Estimate, Estimator, Images, Policy};
-pub use scene::Scene;
+pub use scene::{Channel, Scene};
+pub use source::{SourceImages, Truth, simulate, simulate_channels};

@@ -32,7 +32,7 @@ pub struct Arrays {
 
 impl ModalFitter {
     /// A fitter for the pupil in `arrays` and the other arrays that it holds; the rest is the scene's. The scene's own pupil,
-    /// and its files for which there is an array, are ignored: [`Scene::for_arrays`] reads a scene without checking
+    /// and its files for which there is an array, are ignored: [`Scene::for_arrays`](crate::Scene::for_arrays) reads a scene without checking
     /// them.
     ///
     /// The arrays have the effect of the same maps in the files `pupil.file`, `modes.file` and `image.diversity_file`:

@@ -1,6 +1,10 @@
-//! Length of test names: at most 60 characters, so that a line of the test report names the failure and fits.
+//! Length of test names: at most 60 characters, so that a line of the test report names the failure and fits. Number of public names.
 
+use super::source::exported;
 use super::texts;
+
+/// Most names of the interface that versions keep: a page that a stranger can read.
+const MOST_PUBLIC: usize = 120;
 
 const LIMIT: usize = 60;
 const FOLDERS: [&str; 7] = ["src", "tests", "numerics", "cli", "view", "watch", "paper"];
@@ -34,4 +38,31 @@ fn planted_long_test_name_is_found() {
     let text =
         format!("fn {long}() {{}}\n#[test]\nfn {short}() {{}}\n    #[test]\n    #[ignore]\n    fn {long}() {{}}\n");
     assert_eq!(long_names(&text), [long.as_str()]);
+}
+
+/// Names that a file makes public: what it exports, and its functions.
+fn public_names(text: &str) -> usize {
+    let statements = text.split(';').filter_map(|statement| statement.split_once("pub use ").map(|(_, path)| path));
+    let exports: usize = statements.map(|path| exported(&format!("use {path};")).len()).sum();
+    exports + text.lines().filter(|line| line.starts_with("pub fn ")).count()
+}
+
+#[test]
+fn public_interface_fits_a_page() {
+    let sources = texts("src");
+    let public = |file: &str| public_names(&sources[file]);
+    // The public modules of `lib.rs`, without those of the feature `internals`.
+    let door = &sources["lib"];
+    let stable = door.lines().zip(door.lines().skip(1)).filter(|(before, _)| !before.starts_with("#["));
+    let modules: Vec<&str> = stable.filter_map(|(_, line)| line.strip_prefix("pub mod ")?.strip_suffix(';')).collect();
+    assert_eq!(modules, ["pipeline", "planner", "tracking"]);
+    let count = public("lib") + modules.iter().map(|module| public(&format!("{module}/mod"))).sum::<usize>();
+    println!("{count} public names");
+    assert!(count > modules.len() && count <= MOST_PUBLIC, "{count} public names; at most {MOST_PUBLIC} are accepted");
+}
+
+#[test]
+fn planted_public_names_are_counted() {
+    let text = "mod a;\npub use a::{B, c::D};\nuse crate::E;\npub(crate) use a::F;\npub fn g() {\n    h();\n}\n";
+    assert_eq!(public_names(text), 3);
 }
