@@ -6,12 +6,12 @@
 //! A joint estimate is a mean of those of the channels whose weights add up to 1 for each mode, so that its error from the models is
 //! about as large as theirs at most.
 
-use super::plan::{Choice, Plan};
+use super::plan::{Choice, FoundPlan};
 use super::search::Search;
-use super::trial::{DRAWS, joint_price, recipe};
+use super::trial::{joint_price, recipe};
 use crate::modal::{ModalFitter, has_diversity};
 use crate::optimize::CancelFlag;
-use crate::scene::{Crop, Precision, Scene};
+use crate::scene::{Crop, Precision, System};
 use crate::{Error, Result};
 
 /// Largest RMS of the pistons that are drawn where the channels have several wavelengths, over the shortest: single channels know pistons
@@ -19,9 +19,9 @@ use crate::{Error, Result};
 const PISTONS: f64 = 0.05;
 
 /// As [`super::plan`], for a `scene` with channels.
-pub(super) fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Result<Plan> {
+pub(super) fn plan(scene: &System, budget_nm: f64, cancel: Option<&CancelFlag>) -> Result<FoundPlan> {
     refuse_focus(scene)?;
-    let drawn = scene.channels().iter().map(|channel| with_small_pistons(scene, &channel.scene));
+    let drawn = scene.channels().iter().map(|channel| with_small_pistons(scene, &channel.system));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
     let searches = drawn.iter().map(|own| Search::new(own, budget_nm, cancel));
     let mut searches = searches.collect::<Result<Vec<_>>>()?;
@@ -36,10 +36,9 @@ pub(super) fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -
         search.trials.share_noise(share.map(|share| if share.is_finite() { share } else { 1.0 }));
         plans.push(search.run()?);
     }
-    let settings = settings(scene, &plans);
-    let planned = settings.iter().try_fold(scene.clone(), |scene, (key, value)| scene.with_override(key, value))?;
+    let planned = planned(scene, &plans)?;
     let fitters = planned.channels().iter().zip(&references).map(|(channel, like)| {
-        let own = with_small_pistons(&planned, &channel.scene)?;
+        let own = with_small_pistons(&planned, &channel.system)?;
         like.estimator.variant(&own, recipe(&own))
     });
     let fitters: Vec<ModalFitter> = fitters.collect::<Result<_>>()?;
@@ -48,23 +47,21 @@ pub(super) fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -
     let (mut choices, mut omissions) = (Vec::new(), Vec::new());
     for (channel, plan) in scene.channels().iter().zip(plans) {
         let name = Some(channel.name.clone());
+        let of_plan = planned.channels().iter().find(|own| own.name == channel.name);
         choices.extend(plan.choices.into_iter().map(|choice| {
-            let kept = settings.iter().any(|(key, value)| {
-                (key == choice.key || *key == own_key(&channel.name, choice.key))
-                    && value == choice.value.trim_matches('"')
-            });
+            let kept = of_plan.is_some_and(|own| has_value(&own.system, &choice));
             Choice { channel: name.clone(), kept, ..choice }
         }));
         let own = plan.omissions.into_iter();
         omissions.extend(own.map(|omission| super::Omission { channel: name.clone(), ..omission }));
     }
-    Ok(Plan { scene: planned, budget_nm, reference, chosen, choices, omissions, draws: DRAWS })
+    Ok(FoundPlan { system: planned, reference, chosen, choices, omissions })
 }
 
 /// # Errors
 /// [`Error::Scene`] for a channel whose images do not determine the wavefront by themselves.
-fn refuse_focus(scene: &Scene) -> Result<()> {
-    match scene.channels().iter().find(|channel| !has_diversity(&channel.scene.image)) {
+fn refuse_focus(scene: &System) -> Result<()> {
+    match scene.channels().iter().find(|channel| !has_diversity(&channel.system.image)) {
         None => Ok(()),
         Some(channel) => Err(Error::Scene(format!(
             "{}: the channel '{}' is in focus, where an image by itself does not determine the wavefront, and a plan tries each channel by \
@@ -76,43 +73,59 @@ fn refuse_focus(scene: &Scene) -> Result<()> {
 }
 
 /// The scene of a channel, with pistons that its images determine where the channels have several wavelengths.
-fn with_small_pistons(scene: &Scene, own: &Scene) -> Result<Scene> {
-    let wavelengths_nm = || scene.channels().iter().map(|channel| channel.scene.image.wavelength_nm);
+fn with_small_pistons(scene: &System, own: &System) -> Result<System> {
+    let wavelengths_nm = || scene.channels().iter().map(|channel| channel.system.image.wavelength_nm);
     let (shortest, longest) = (wavelengths_nm().fold(f64::INFINITY, f64::min), wavelengths_nm().fold(0.0, f64::max));
     let most_nm = PISTONS * shortest;
     match &own.aberrations {
         Some(aberrations) if shortest < longest && aberrations.segment_piston_rms_nm > most_nm => {
-            own.with_override("aberrations.segment_piston_rms_nm", &format!("{most_nm:.1}"))
+            // In tenths of a nanometre, as it is printed.
+            let most_nm = (10.0 * most_nm).round() / 10.0;
+            own.with(|sections| {
+                if let Some(aberrations) = &mut sections.aberrations {
+                    aberrations.segment_piston_rms_nm = most_nm;
+                }
+            })
         }
         _ => Ok(own.clone()),
     }
 }
 
-/// Name of a key of `[image]` of a channel.
-fn own_key(channel: &str, key: &str) -> String {
-    format!("image.channel.{channel}.{}", key.trim_start_matches("image."))
+/// Whether the plan has the value of a choice.
+fn has_value(planned: &System, choice: &Choice) -> bool {
+    let (estimate, image) = (&planned.estimate, &planned.image);
+    let value = match (choice.key, image.crop_pixels) {
+        ("estimate.samples", _) => estimate.samples.map(|samples| samples.to_string()),
+        ("estimate.wavelengths", _) => estimate.wavelengths.map(|wavelengths| wavelengths.to_string()),
+        ("estimate.precision", _) => Some(format!("\"{}\"", estimate.precision.word())),
+        ("estimate.step_tolerance_nm", _) => estimate.step_tolerance_nm.map(|nm| nm.to_string()),
+        ("image.crop_pixels", Crop::Pixels(pixels)) => Some(pixels.to_string()),
+        _ => None,
+    };
+    value.as_ref() == Some(&choice.value)
 }
 
-/// Keys and values of a scene that has the choices of the plans of its channels.
-fn settings(scene: &Scene, plans: &[Plan]) -> Vec<(String, String)> {
-    let mut settings = Vec::new();
-    let estimates = || plans.iter().map(|plan| &plan.scene.estimate);
-    let mut set = |key: &str, value: Option<String>| settings.extend(value.map(|value| (key.to_owned(), value)));
-    set("estimate.samples", estimates().filter_map(|own| own.samples).max().map(|samples| samples.to_string()));
+/// The system with the choices of the plans of its channels.
+fn planned(scene: &System, plans: &[FoundPlan]) -> Result<System> {
+    let estimates = || plans.iter().map(|plan| &plan.system.estimate);
+    let samples = estimates().filter_map(|own| own.samples).max();
     // A scene names them only where every channel has a filter with a width; else each channel keeps those that it needs.
-    let has_choice = |plan: &Plan| plan.choices.iter().any(|choice| choice.key == "estimate.wavelengths");
-    let of = |plan: &Plan| if has_choice(plan) { plan.scene.estimate.wavelengths } else { None };
-    let wavelengths: Option<Vec<_>> = plans.iter().map(of).collect();
-    set("estimate.wavelengths", wavelengths.and_then(|all| all.into_iter().max()).map(|count| count.to_string()));
-    let precision = if estimates().all(|own| own.precision == Precision::F32) { "f32" } else { "f64" };
-    set("estimate.precision", Some(precision.into()));
+    let has_choice = |plan: &FoundPlan| plan.choices.iter().any(|choice| choice.key == "estimate.wavelengths");
+    let of = |plan: &FoundPlan| if has_choice(plan) { plan.system.estimate.wavelengths } else { None };
+    let wavelengths = plans.iter().map(of).collect::<Option<Vec<_>>>().and_then(|all| all.into_iter().max());
+    let is_single = estimates().all(|own| own.precision == Precision::F32);
     let tolerances: Option<Vec<f64>> = estimates().map(|own| own.step_tolerance_nm).collect();
-    let tolerance = tolerances.and_then(|all| all.into_iter().reduce(f64::min));
-    set("estimate.step_tolerance_nm", tolerance.map(|nm| nm.to_string()));
-    for (channel, plan) in scene.channels().iter().zip(plans) {
-        if let Crop::Pixels(pixels) = plan.scene.image.crop_pixels {
-            settings.push((own_key(&channel.name, "image.crop_pixels"), pixels.to_string()));
+    let tolerance_nm = tolerances.and_then(|all| all.into_iter().reduce(f64::min));
+    let common = scene.with(|sections| {
+        let estimate = &mut sections.estimate;
+        estimate.samples = samples.or(estimate.samples);
+        estimate.wavelengths = wavelengths.or(estimate.wavelengths);
+        estimate.precision = if is_single { Precision::F32 } else { Precision::F64 };
+        estimate.step_tolerance_nm = tolerance_nm.or(estimate.step_tolerance_nm);
+    })?;
+    common.with_each_channel(|channel, sections| {
+        if let Some(crop @ Crop::Pixels(_)) = plans.get(channel).map(|plan| plan.system.image.crop_pixels) {
+            sections.image.crop_pixels = crop;
         }
-    }
-    settings
+    })
 }

@@ -37,11 +37,12 @@ pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Resul
     }
     // The plan has no budget: a scene with one would be planned again.
     let given = scene.without("estimate.budget_nm")?;
-    if given.channels().is_empty() {
-        search::Search::new(&given, budget_nm, cancel)?.run()
+    let found = if given.channels().is_empty() {
+        search::Search::new(&given, budget_nm, cancel)?.run()?
     } else {
-        channels::plan(&given, budget_nm, cancel)
-    }
+        channels::plan(&given, budget_nm, cancel)?
+    };
+    Plan::new(&given, budget_nm, found)
 }
 
 /// `scene`, or its plan where it names a budget (`estimate.budget_nm`).

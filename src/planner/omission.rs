@@ -5,7 +5,7 @@ use super::trial::{Trials, recipe};
 use crate::Result;
 use crate::modal::ModalFitter;
 use crate::optimize::CancelFlag;
-use crate::scene::Scene;
+use crate::scene::{Sections, System};
 use crate::telescope::Filter;
 
 /// An effect that a model may leave out.
@@ -27,8 +27,8 @@ pub struct Omission {
 
 /// Computes the cost of what `planned` models or leaves out, on the wavefronts of `trials`.
 pub(super) fn omissions(
-    asked: &Scene,
-    planned: &Scene,
+    asked: &System,
+    planned: &System,
     like: &ModalFitter,
     chosen: Price,
     trials: &Trials,
@@ -40,7 +40,7 @@ pub(super) fn omissions(
     if !filter.is_monochromatic() {
         // The images have the filter's width; the plan may model it or not, and the other choice is tried here.
         let modelled = !like.model().optics.has_one_wavelength();
-        let other = planned.with_override("estimate.wavelengths", if modelled { "1" } else { "" })?;
+        let other = planned.with(|sections| sections.estimate.wavelengths = modelled.then_some(1))?;
         let model = like.variant(&other, recipe(&other))?;
         let other_nm = trials.price(&model, cancel)?.error_nm();
         let [with_nm, without_nm] = if modelled { [own, other_nm] } else { [other_nm, own] };
@@ -57,8 +57,8 @@ pub(super) fn omissions(
             because,
         });
     }
-    let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
-        let scene = planned.with_override(key, value)?;
+    let mut alternative = |what, without: fn(&mut Sections), because: String| -> Result<()> {
+        let scene = planned.with(without)?;
         let price = trials.price(&like.variant(&scene, recipe(&scene))?, cancel)?;
         omissions.push(Omission {
             channel: None,
@@ -73,17 +73,17 @@ pub(super) fn omissions(
     if like.recipe().fit_background {
         let background_e = asked.image.background_e;
         let because = format!("it costs no time; the scene's background is {background_e} e a pixel");
-        alternative("background of the image", "estimate.fit_background", "false", because)?;
+        alternative("background of the image", |sections| sections.estimate.fit_background = Some(false), because)?;
     }
     if like.recipe().fit_flux {
         let because = "it costs no time; without it the flux is the sum of the pixels that are compared".into();
-        alternative("flux of the star", "estimate.fit_flux", "false", because)?;
+        alternative("flux of the star", |sections| sections.estimate.fit_flux = Some(false), because)?;
     }
     Ok(omissions)
 }
 
 /// Width of the filter of `scene`, for a message: that of a curve is measured and has no round value.
-fn percent(scene: &Scene, filter: &Filter) -> String {
+fn percent(scene: &System, filter: &Filter) -> String {
     if scene.image.filter_file.is_some() {
         format!("{:.1} %", 100.0 * filter.width())
     } else {

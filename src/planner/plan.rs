@@ -2,8 +2,9 @@
 
 use super::omission::Omission;
 use super::price::Price;
+use super::trial::DRAWS;
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::{Scene, System};
 
 /// Plan of the model of a scene.
 #[derive(Debug, Clone)]
@@ -24,6 +25,16 @@ pub struct Plan {
     pub draws: usize,
 }
 
+/// What a search finds.
+pub(super) struct FoundPlan {
+    /// The system of the scene with the choices.
+    pub(super) system: System,
+    pub(super) reference: Price,
+    pub(super) chosen: Price,
+    pub(super) choices: Vec<Choice>,
+    pub(super) omissions: Vec<Omission>,
+}
+
 /// One value of one key that was tried.
 #[derive(Debug, Clone)]
 pub struct Choice {
@@ -40,6 +51,15 @@ pub struct Choice {
 }
 
 impl Plan {
+    /// The plan of `scene`.
+    ///
+    /// # Errors
+    /// Those of [`Scene::adopting`].
+    pub(super) fn new(scene: &Scene, budget_nm: f64, found: FoundPlan) -> Result<Self> {
+        let FoundPlan { system, reference, chosen, choices, omissions } = found;
+        Ok(Self { scene: scene.adopting(&system)?, budget_nm, reference, chosen, choices, omissions, draws: DRAWS })
+    }
+
     /// Writes the plan's scene to a file, whole or not at all.
     ///
     /// # Errors

@@ -1,12 +1,12 @@
 //! Search for the cheapest model within the budget: one key after the other, each from the cheapest value on.
 
 use super::omission::omissions;
-use super::plan::{Choice, Plan};
+use super::plan::{Choice, FoundPlan};
 use super::price::{Limit, Price};
-use super::trial::{DRAWS, Trials, recipe};
+use super::trial::{Trials, recipe};
 use crate::modal::ModalFitter;
 use crate::optimize::CancelFlag;
-use crate::scene::{Crop, NcpaBasis, Optimizer, PupilModel, Scene};
+use crate::scene::{Crop, NcpaBasis, Optimizer, Precision, PupilModel, System};
 use crate::{Error, Result};
 
 /// Margin of the budget for wavefronts worse than those drawn, and for noise that is larger than its mean: the residual of a
@@ -32,14 +32,14 @@ const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 
 /// A candidate with its fitter, whose basis other candidates share.
 pub(super) struct Candidate {
-    scene: Scene,
+    scene: System,
     pub(super) estimator: ModalFitter,
     pub(super) price: Price,
 }
 
 /// State of the search.
 pub(super) struct Search<'a> {
-    given: &'a Scene,
+    given: &'a System,
     budget_nm: f64,
     cancel: Option<&'a CancelFlag>,
     pub(super) trials: Trials,
@@ -47,7 +47,7 @@ pub(super) struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    pub(super) fn new(scene: &'a Scene, budget_nm: f64, cancel: Option<&'a CancelFlag>) -> Result<Self> {
+    pub(super) fn new(scene: &'a System, budget_nm: f64, cancel: Option<&'a CancelFlag>) -> Result<Self> {
         if scene.estimate.optimizer != Optimizer::GaussNewton {
             return Err(Error::Scene(
                 "an error budget needs estimate.optimizer = \"gauss-newton\": the error of the paper's method does not depend \
@@ -58,7 +58,7 @@ impl<'a> Search<'a> {
         Ok(Self { given: scene, budget_nm, cancel, trials: Trials::new(scene, cancel)?, choices: Vec::new() })
     }
 
-    pub(super) fn run(&mut self) -> Result<Plan> {
+    pub(super) fn run(&mut self) -> Result<FoundPlan> {
         let first = self.reference()?;
         let reference = first.price;
         let limit = Limit::new(self.limit_nm(&first), &reference);
@@ -69,14 +69,12 @@ impl<'a> Search<'a> {
         best = self.stopped_early(best, limit)?;
         self.price_half_the_modes(&best)?;
         let omissions = omissions(self.given, &best.scene, &best.estimator, best.price, &self.trials, self.cancel)?;
-        Ok(Plan {
-            scene: best.scene,
-            budget_nm: self.budget_nm,
+        Ok(FoundPlan {
+            system: best.scene,
             reference,
             chosen: best.price,
             choices: std::mem::take(&mut self.choices),
             omissions,
-            draws: DRAWS,
         })
     }
 
@@ -88,7 +86,7 @@ impl<'a> Search<'a> {
 
     /// The scene's own model in double precision.
     pub(super) fn reference(&self) -> Result<Candidate> {
-        let scene = self.given.with_override("estimate.precision", "f64")?;
+        let scene = self.given.with(|sections| sections.estimate.precision = Precision::F64)?;
         let estimator = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
         let price = self.trials.price(&estimator, self.cancel)?;
         Ok(Candidate { scene, estimator, price })
@@ -111,7 +109,7 @@ impl<'a> Search<'a> {
         let (mut good, mut too_few, mut enough) = (None, 0, sizes.len());
         while too_few < enough {
             let middle = (too_few + enough) / 2;
-            let scene = from.scene.with_override("estimate.samples", &sizes[middle].to_string())?;
+            let scene = from.scene.with(|sections| sections.estimate.samples = Some(sizes[middle]))?;
             let candidate = self.candidate(&from.estimator, &scene)?;
             let fits = limit.allows(&candidate.price);
             self.note("estimate.samples", sizes[middle].to_string(), candidate.price);
@@ -133,12 +131,12 @@ impl<'a> Search<'a> {
         if own == 1 || self.given.estimate.wavelengths.is_some() {
             return Ok(from);
         }
-        for count in (1..own).map(|count| count.to_string()) {
-            let scene = from.scene.with_override("estimate.wavelengths", &count)?;
+        for count in 1..own {
+            let scene = from.scene.with(|sections| sections.estimate.wavelengths = Some(count))?;
             let candidate = self.candidate(&from.estimator, &scene)?;
-            self.note("estimate.wavelengths", count.clone(), candidate.price);
+            self.note("estimate.wavelengths", count.to_string(), candidate.price);
             if limit.allows(&candidate.price) && candidate.price.megaflops < from.price.megaflops {
-                self.keep("estimate.wavelengths", &count);
+                self.keep("estimate.wavelengths", &count.to_string());
                 return Ok(candidate);
             }
         }
@@ -152,19 +150,20 @@ impl<'a> Search<'a> {
         }
         let preparation = from.estimator.model().preparation;
         let native = |pixels: usize| (pixels as f64 * preparation.native_along(0)).round() as usize;
-        let own = native(preparation.pixels).to_string();
+        let own = native(preparation.pixels);
         // The crop that the model chose by itself is written into the plan, so that it is the same when it is read again.
-        let scene = from.scene.with_override("image.crop_pixels", &own)?;
-        self.note("image.crop_pixels", own, from.price);
+        let cropped =
+            |scene: &System, pixels: usize| scene.with(|sections| sections.image.crop_pixels = Crop::Pixels(pixels));
+        let scene = cropped(&from.scene, own)?;
+        self.note("image.crop_pixels", own.to_string(), from.price);
         let mut best = Candidate { scene, ..from };
         for step in 1..=CROPS {
             let Some(pixels) = preparation.pixels.checked_sub(step * CROP_STEP).filter(|&pixels| pixels >= 16) else {
                 break;
             };
-            let value = native(pixels).to_string();
-            let scene = best.scene.with_override("image.crop_pixels", &value)?;
+            let scene = cropped(&best.scene, native(pixels))?;
             let candidate = self.candidate(&best.estimator, &scene)?;
-            self.note("image.crop_pixels", value, candidate.price);
+            self.note("image.crop_pixels", native(pixels).to_string(), candidate.price);
             if !limit.allows(&candidate.price) {
                 break;
             }
@@ -179,7 +178,8 @@ impl<'a> Search<'a> {
     }
 
     fn single_precision(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
-        self.with_value_if_cheaper(from, "estimate.precision", "\"f32\"", limit)
+        let scene = from.scene.with(|sections| sections.estimate.precision = Precision::F32)?;
+        self.change_if_cheaper(from, &scene, ("estimate.precision", "\"f32\""), limit)
     }
 
     /// The loosest step tolerance within the limit.
@@ -188,8 +188,10 @@ impl<'a> Search<'a> {
             return Ok(best);
         }
         for fraction in TOLERANCES {
-            let value = format!("{}", rounded(fraction * self.budget_nm));
-            best = self.with_value_if_cheaper(best, "estimate.step_tolerance_nm", &value, limit)?;
+            let value_nm = rounded(fraction * self.budget_nm);
+            let scene = best.scene.with(|sections| sections.estimate.step_tolerance_nm = Some(value_nm))?;
+            best =
+                self.change_if_cheaper(best, &scene, ("estimate.step_tolerance_nm", &value_nm.to_string()), limit)?;
             if self.choices.last().is_some_and(|choice| choice.kept) {
                 break;
             }
@@ -204,21 +206,22 @@ impl<'a> Search<'a> {
         if modes.ncpa != NcpaBasis::Kl || modes.ncpa_count < 2 {
             return Ok(());
         }
-        let half = (modes.ncpa_count / 2).to_string();
-        let candidate = self.candidate(&best.estimator, &best.scene.with_override("modes.ncpa_count", &half)?)?;
-        self.note("modes.ncpa_count", half, candidate.price);
+        let half = modes.ncpa_count / 2;
+        let scene = best.scene.with(|sections| sections.modes.ncpa_count = half)?;
+        let candidate = self.candidate(&best.estimator, &scene)?;
+        self.note("modes.ncpa_count", half.to_string(), candidate.price);
         Ok(())
     }
 
-    /// `best` with `key` changed, where that is within the limit and less work.
-    fn with_value_if_cheaper(
+    /// `scene`, which is that of `best` with another value of a key, where that is within the limit and less work; else `best`.
+    fn change_if_cheaper(
         &mut self,
         best: Candidate,
-        key: &'static str,
-        value: &str,
+        scene: &System,
+        (key, value): (&'static str, &str),
         limit: Limit,
     ) -> Result<Candidate> {
-        let candidate = self.candidate(&best.estimator, &best.scene.with_override(key, value.trim_matches('"'))?)?;
+        let candidate = self.candidate(&best.estimator, scene)?;
         self.note(key, value.to_string(), candidate.price);
         // Single precision takes as many operations, each of half the time.
         let cheaper = candidate.price.megaflops < best.price.megaflops || key == "estimate.precision";
@@ -229,7 +232,7 @@ impl<'a> Search<'a> {
         Ok(best)
     }
 
-    fn candidate(&self, like: &ModalFitter, scene: &Scene) -> Result<Candidate> {
+    fn candidate(&self, like: &ModalFitter, scene: &System) -> Result<Candidate> {
         let estimator = like.variant(scene, recipe(scene))?;
         let price = self.trials.price(&estimator, self.cancel)?;
         Ok(Candidate { scene: scene.clone(), estimator, price })

@@ -6,7 +6,7 @@ use crate::metrics::{MapGram, residual_nm};
 use crate::modal::{CombinedModes, Cube, ModalFitter, Recipe, combine_estimates};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
-use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
+use crate::scene::{AberrationScene, NcpaBasis, NollRange, SegmentModes, System};
 use crate::source::{self, Camera, Truth};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -24,14 +24,14 @@ pub(super) const DRAWS: usize = 8;
 const STREAM: u64 = 0x70_6c_61_6e;
 /// RMS of the pistons and of the NCPA that are drawn where the scene has none, nm: typical of segments and optics that drift after
 /// an alignment.
-const ASSUMED_NM: [&str; 2] = ["60", "70"];
+const ASSUMED_NM: [f64; 2] = [60.0, 70.0];
 /// Last Noll index of these NCPA.
 const ASSUMED_LAST_NOLL: usize = 18;
 
 /// The recipe of a candidate: that of an estimate, with the modes that have a prior. Their prior is not applied, so that a
 /// price is an upper bound (by 8 % of the noise of the NCPA of `keck-artificial`) for estimates, and for sessions, which do not
 /// fit them. Without restarts: a model that leads to a wrong minimum is not acceptable.
-pub(super) fn recipe(scene: &Scene) -> Recipe {
+pub(super) fn recipe(scene: &System) -> Recipe {
     Recipe { restarts: 0, ..Recipe::with_prior(scene) }
 }
 
@@ -59,7 +59,7 @@ pub(super) struct Trial {
 
 impl Trials {
     /// Draws and images wavefronts of `scene`.
-    pub(super) fn new(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Self> {
+    pub(super) fn new(scene: &System, cancel: Option<&CancelFlag>) -> Result<Self> {
         let scene = &if scene.aberrations.is_some() { scene.clone() } else { with_assumed_aberrations(scene)? };
         let telescope = Telescope::new(scene)?;
         let camera = Camera::new(scene, &telescope)?;
@@ -149,7 +149,7 @@ impl Trials {
 /// Cost of the models of several channels of `scene`, each on its own images of the same wavefronts, combined: work and time are those of
 /// all.
 pub(super) fn joint_price(
-    scene: &Scene,
+    scene: &System,
     channels: &[(&ModalFitter, &Trials)],
     cancel: Option<&CancelFlag>,
 ) -> Result<Price> {
@@ -193,7 +193,7 @@ fn noise_nm(estimator: &ModalFitter, covariance_nm2: Option<&Array2<f64>>) -> Re
 }
 
 /// `scene` with aberrations that its own modes span: nothing is known of others.
-fn with_assumed_aberrations(scene: &Scene) -> Result<Scene> {
+fn with_assumed_aberrations(scene: &System) -> Result<System> {
     let exact = match recipe(scene).exact_zernikes {
         NollRange::Span { first, last } => first..=last,
         NollRange::None => 0..=0,
@@ -205,15 +205,12 @@ fn with_assumed_aberrations(scene: &Scene) -> Result<Scene> {
     };
     let last = (4..=ASSUMED_LAST_NOLL).take_while(is_spanned).last();
     let [piston_nm, ncpa_nm] = ASSUMED_NM;
-    let span = last.map(|last| format!("[4, {last}]"));
-    let mut settings = vec![("aberrations.segment_piston_rms_nm", piston_nm)];
-    if let Some(span) = &span {
-        settings.extend([("aberrations.ncpa_rms_nm", ncpa_nm), ("aberrations.ncpa_zernikes", span.as_str())]);
+    let mut aberrations = scene.aberrations.clone().map_or_else(AberrationScene::flat, Ok)?;
+    aberrations.segment_piston_rms_nm = if scene.modes.segment == SegmentModes::None { 0.0 } else { piston_nm };
+    if let Some(last) = last {
+        (aberrations.ncpa_rms_nm, aberrations.ncpa_zernikes) = (ncpa_nm, NollRange::Span { first: 4, last });
     }
-    if scene.modes.segment == SegmentModes::None {
-        settings[0].1 = "0";
-    }
-    scene.with(&settings)
+    scene.with(|sections| sections.aberrations = Some(aberrations.clone()))
 }
 
 /// Residual RMS of phasing and NCPA, nm; NaN for an image that was not fitted.
@@ -241,6 +238,7 @@ fn check_cancelled(cancel: Option<&CancelFlag>) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
 
     #[test]
     fn assumed_aberrations_are_spanned_by_the_modes_of_an_estimate() {

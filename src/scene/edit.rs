@@ -4,7 +4,7 @@ use super::section_keys::SectionKeys;
 use super::sections::directory_of_keys;
 use super::table::SETTING;
 use super::unknown::{unknown_key, unknown_section};
-use super::{Scene, System, channel, forms};
+use super::{Channel, Scene, System, channel, forms};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
@@ -44,17 +44,25 @@ impl Scene {
     /// # Errors
     /// [`Error::Internal`] for a text that is not TOML.
     pub(crate) fn adopting(&self, system: &System) -> Result<Self> {
-        let differences = system.differences(self);
-        let mut adopted = self.clone();
-        if !differences.is_empty() {
-            let mut document = self.document()?;
-            for (section, key, value) in differences {
+        let (mut document, mut channels, mut is_changed) = (self.document()?, Vec::new(), false);
+        for (section, key, value) in system.differences(self) {
+            is_changed = true;
+            if section != "image" || self.channels().is_empty() {
                 set(&mut document, section, key, &value)?;
             }
-            adopted.text = document.to_string().into();
         }
-        adopted.system = system.clone();
-        Ok(adopted)
+        for (own, of) in self.channels().iter().zip(system.channels()) {
+            for (section, key, value) in of.system.differences(&own.scene) {
+                is_changed = true;
+                if section == "image" {
+                    let value = Some(value).filter(|value| !value.is_empty());
+                    channel::set(&mut document, &format!("{}.{key}", own.name), value.as_deref().map(word_or_value))?;
+                }
+            }
+            channels.push(Channel { name: own.name.clone(), scene: own.scene.adopting(&of.system)? });
+        }
+        let text = if is_changed { document.to_string().into() } else { self.text.clone() };
+        Ok(Self { system: system.clone(), text, channels: channels.into() })
     }
 
     pub(super) fn document(&self) -> Result<DocumentMut> {

@@ -76,6 +76,22 @@ impl System {
         Ok(Self { content: Arc::new(content) })
     }
 
+    /// This system with other values in its channels, whose numbers from 0 `change` is given.
+    ///
+    /// # Errors
+    /// As [`System::with`].
+    pub(crate) fn with_each_channel(&self, change: impl Fn(usize, &mut Sections)) -> Result<Self> {
+        let mut content = Content::clone(&self.content);
+        for (number, channel) in content.channels.iter_mut().enumerate() {
+            channel.system = channel.system.with(|sections| change(number, sections))?;
+        }
+        // A system with channels has the sections of its first one.
+        if let Some(first) = content.channels.first() {
+            content.sections = Sections::clone(&first.system);
+        }
+        Ok(Self { content: Arc::new(content) })
+    }
+
     /// Name of the scene in messages: its file or preset.
     pub fn name(&self) -> &str {
         &self.content.name

@@ -2,7 +2,8 @@
 
 use super::forms;
 use super::lists::NollRange;
-use super::table::{Check, Reader, default, required, section, unset};
+use super::purpose::Purpose;
+use super::table::{Check, Reader, Section, Source, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
 use super::words::Crop;
 use crate::Result;
@@ -288,6 +289,15 @@ section! {
 }
 
 impl AberrationScene {
+    /// Those of a flat wavefront.
+    ///
+    /// # Errors
+    /// [`Error::Scene`](crate::Error::Scene) for a key without a default, of which there is none.
+    pub(crate) fn flat() -> Result<Self> {
+        let source = Source { name: "", text: "", purpose: Purpose::Whole, settings: &[] };
+        Self::read(&Reader { source, section: Self::NAME, item: None })
+    }
+
     /// Whether the petals have aberrations of their own.
     pub(super) fn has_petals(&self) -> bool {
         self.petal_piston_rms_nm > 0.0 || self.petal_tip_tilt_rms_nm > 0.0 || self.petal_coefficients_nm.is_some()
