@@ -58,9 +58,9 @@ fn main() {
     let mut first: Vec<Vec<u64>> = Vec::new();
     let (mut settled, mut most, mut lowest, mut differ, mut evaluations) = (0, 0, usize::MAX, 0, 0);
     for k in 0..estimates {
-        session.frame_mut(0).expect("room for one").0.assign(&frames.index_axis(Axis(0), k % FRAMES));
+        session.frame_mut(0, 0).expect("room for one").0.assign(&frames.index_axis(Axis(0), k % FRAMES));
         session.fit(1, &FitOptions::default()).expect("the frame holds a star");
-        let result = &session.results()[0];
+        let result = &session.channels()[0].results()[0];
         evaluations += result.report.evaluations;
         let bits = result.coefficients_nm.iter().map(|nm| nm.to_bits());
         match first.get(k % FRAMES) {

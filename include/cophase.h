@@ -6,13 +6,13 @@
  * Order of use
  *   All images of a scene at once, as the program does it:
  *     cophase_estimator_create -> cophase_estimator_estimate -> cophase_estimate_get_info, _array, _text, _write
- *   Images as a camera delivers them, with a deadline:
- *     cophase_model_create -> cophase_session_create -> cophase_session_fit -> cophase_sequence_push -> _estimate
- *   Frames of several channels (defocuses, filters), with a deadline:
- *     cophase_joint_session_create -> cophase_joint_session_fit -> cophase_joint_session_refine
+ *   Images as a camera delivers them, with a deadline, of one channel or of several (defocuses, filters):
+ *     cophase_model_create -> cophase_session_create -> cophase_session_fit -> cophase_session_refine
+ *   Running estimate of images of one channel:
+ *     cophase_session_fit -> cophase_sequence_push -> cophase_sequence_estimate
  *
  * Objects
- *   cophase_model, cophase_estimator, cophase_estimate, cophase_session, cophase_joint_session and cophase_sequence are opaque.
+ *   cophase_model, cophase_estimator, cophase_estimate, cophase_session and cophase_sequence are opaque.
  *   A call that creates one writes its handle, and the caller destroys it; destroying NULL does nothing. Objects do not depend
  *   on the lifetime of those that they were made from. No call on an object may be running or follow when it is destroyed.
  *
@@ -316,7 +316,7 @@ typedef struct {
 typedef struct {
   /* COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number. */
   int32_t status;
-  /* 1 if the image was combined into the estimate or the joint result, else 0; 0 in a cophase_session, which combines nothing. */
+  /* 1 if the image was combined into the estimate, or with other channels into the result of a session, else 0. */
   int32_t is_used;
   /* 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session. */
   int32_t is_clipped;
@@ -346,7 +346,9 @@ typedef struct {
 
 /* -------------------------------------------- Model -------------------------------------------- */
 
-/* Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it. */
+/* Model of the images of a wavefront: telescope, modes, and of each channel ([[image.channel]]) diversity and camera; a scene that lists no
+ * channels has one. Immutable: any number of threads may use it.
+ */
 typedef struct cophase_model cophase_model;
 
 /* Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A pupil of at least twice
@@ -373,25 +375,29 @@ typedef struct {
   size_t modes;
   /* Number of modes that move segments; they come first, the others are NCPA modes. */
   size_t segment_modes;
-  /* Rows of a frame. */
+  /* Rows of a frame; of several channels, those of the first. */
   size_t rows;
-  /* Columns of a frame. */
+  /* Columns of a frame; of several channels, those of the first. */
   size_t cols;
   /* Rows, and columns, of a wavefront map. */
   size_t samples;
-  /* Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling. */
+  /* Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling; of several
+   * channels, those of the first.
+   */
   size_t pixels;
+  /* Number of channels, which have the same modes; 1 for a scene that lists none. */
+  size_t channels;
 } cophase_model_info;
 
-/* Builds the model of a scene; about half a second at the size of Keck.
+/* Builds the model of a scene; about half a second for each channel at the size of Keck.
  *
  * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
  *   takes some seconds.
  * directory: directory of the files that the scene names; NULL for the working directory.
- * arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. They have the effect
- *   of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment pistons
- *   (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes says
- *   otherwise.
+ * arrays: telescope of the caller's instead of that of a scene with one channel; NULL for the scene's. The arrays are copied. They
+ *   have the effect of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment
+ *   pistons (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes
+ *   says otherwise.
  * model: receives the handle.
  *
  * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and
@@ -409,6 +415,19 @@ void cophase_model_destroy(cophase_model *model);
 /* Writes the sizes of a model. info_size: sizeof(cophase_model_info). */
 cophase_status cophase_model_get_info(const cophase_model *model, cophase_model_info *info, size_t info_size);
 
+/* Model of one of the channels of a model, in the order of the scene.
+ *
+ * channel: number of the channel, from 0.
+ * name: receives its name, a text that lives as long as `model`, empty for a scene that lists no channels; NULL if it is not wanted.
+ * channel_model: receives a handle, which the caller destroys; NULL if it is not wanted.
+ *
+ * COPHASE_BAD_VALUE for a channel that the model does not have.
+ */
+cophase_status cophase_model_channel(const cophase_model *model,
+                                     size_t channel,
+                                     const char **name,
+                                     cophase_model **channel_model);
+
 /* Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model. COPHASE_BAD_VALUE for no such mode. */
 cophase_status cophase_model_mode_name(const cophase_model *model,
                                        size_t mode,
@@ -425,10 +444,12 @@ cophase_status cophase_model_wavefront_nm(const cophase_model *model,
                                           double *out,
                                           size_t count);
 
-/* PSF of some coefficients with the diversity, at the pixels that are compared. Its sum over an unbounded detector would
- * be 1. The optical axis is on row and column pixels/2.
+/* PSF of some coefficients with the diversity of a model with one channel, at the pixels that are compared. Its sum over an unbounded
+ * detector would be 1. The optical axis is on row and column pixels/2.
  *
  * coefficients_nm: `modes` numbers. out: receives pixels x pixels numbers. count: their number.
+ *
+ * COPHASE_BAD_VALUE for a model of several channels: see cophase_model_channel.
  */
 cophase_status cophase_model_psf(const cophase_model *model,
                                  const double *coefficients_nm,
@@ -832,9 +853,34 @@ cophase_status cophase_estimate_correct(cophase_estimate *estimate,
 
 /* ------------------------------------------- Session ------------------------------------------- */
 
-/* Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
+/* Report on a group: one frame of each channel of a model. */
+typedef struct {
+  /* The worst status of its images, a COPHASE_IMAGE_ number; of several channels there is no joint result above
+   * COPHASE_IMAGE_WRONG_MINIMUM.
+   */
+  int32_t status;
+  /* 1 if the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, of
+   * another wavefront, or in another minimum; in several wavelengths also where a piston is more than half a wavelength from the start.
+   */
+  int32_t is_contradictory;
+  /* Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN for one channel, and without a joint
+   * result.
+   */
+  double reduced_chi2;
+  /* Its degrees of freedom; 0 where the channels have no mode in common that both determine. */
+  double freedom;
+  /* The smallest probability of the whole wavelengths of a piston; NaN where they were not sought: in one wavelength, and in a fit. */
+  double piston_probability;
+  /* Duration of the fits, s; NaN of a refinement. */
+  double seconds;
+} cophase_group_report;
+
+/* Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
  * COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
  * with any other frames in the call.
+ *
+ * A group is what sees one wavefront: one frame of each channel of the model, which is one image of a model with one channel. Each
+ * channel is fitted by itself, and the fits of several channels are combined: the modes that they have in common.
  *
  * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
  */
@@ -844,7 +890,7 @@ typedef struct cophase_session cophase_session;
 typedef struct {
   /* sizeof(cophase_session_options). */
   size_t struct_size;
-  /* Largest number of images of a call; 0 means 1. */
+  /* Largest number of groups of a call, which are images of a model with one channel; 0 means 1. */
   size_t capacity;
   /* Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for the scene's
    * estimate.device. [RT] calls need "cpu".
@@ -872,7 +918,7 @@ typedef struct {
   double deadline_s;
   /* Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1. */
   double read_noise_e;
-  /* Starts of the fits, nm: count x modes in C order. NULL for a flat wavefront. */
+  /* Starts of the fits, nm: count x modes in C order, each that of all channels of a group. NULL for a flat wavefront. */
   const double *start_nm;
   /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's. */
   int64_t has_read_noise;
@@ -883,7 +929,8 @@ typedef struct {
  * options: NULL for the defaults. session: receives the handle.
  *
  * COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option out of range, and for a
- * scene with estimate.optimizer = "bfgs".
+ * scene with estimate.optimizer = "bfgs". COPHASE_BAD_SCENE for several channels of which one is in focus, which an estimator
+ * takes.
  */
 cophase_status cophase_session_create(const cophase_model *model,
                                       const cophase_session_options *options,
@@ -892,13 +939,14 @@ cophase_status cophase_session_create(const cophase_model *model,
 /* Frees a session; NULL is fine. */
 void cophase_session_destroy(cophase_session *session);
 
-/* Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, or counts where the
- * scene has image.gain_e_per_adu, as before the first call.
+/* Sets the calibration of later frames of a channel; the maps are copied. channel: its number in the model, from 0. calibration: NULL
+ * where frames are electrons, or counts where the scene has image.gain_e_per_adu, as before the first call.
  *
- * COPHASE_BAD_VALUE for bad pixels if the model reduces the sampling of frames, which would smear them: such a camera
- * needs estimate.sampling = "native" in its scene.
+ * COPHASE_BAD_VALUE for a channel that the model does not have, and for bad pixels if the model reduces the sampling of frames, which
+ * would smear them: such a camera needs estimate.sampling = "native" in its scene.
  */
 cophase_status cophase_session_calibrate(cophase_session *session,
+                                         size_t channel,
                                          const cophase_calibration *calibration);
 
 /* Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one evaluation.
@@ -906,31 +954,43 @@ cophase_status cophase_session_calibrate(cophase_session *session,
  */
 cophase_status cophase_session_cancel(const cophase_session *session);
 
-/* Fits the model to frames. [RT]
+/* Fits the model to frames, one channel after the other, and combines the fits of several channels. [RT]
  *
- * frames: count x rows x cols, count up to the session's capacity. Values that are not finite are bad pixels. The optical
- *   axis is on row rows/2 and column cols/2.
- * options: NULL for the defaults.
- * coefficients_nm: receives count x modes numbers in C order; NaN for an unusable image.
+ * frames: an array for each channel, in the order of the model, each count x rows x cols of its channel, count up to the session's
+ *   capacity: frames k of all channels are group k. Values that are not finite are bad pixels. The optical axis is on row rows/2 and
+ *   column cols/2.
+ * channels: number of channels of the model.
+ * options: NULL for the defaults. The deadline holds for all frames together.
+ * coefficients_nm: receives count x modes numbers in C order: of one channel those of each image, NaN for an unusable one; of several
+ *   the modes that they have in common, NaN unless the fits of all channels of the group converged.
+ * sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels; NULL if they are not wanted. The channels
+ *   are weighed, and error bars are, as at a flat wavefront with the flux and the noise of the frames, scaled by chi-square where a model
+ *   misfits or the channels contradict each other. NaN for one channel, whose covariance cophase_session_refine has.
  * modes: the model's number of modes.
- * reports: receives count reports of report_size bytes each; NULL if they are not wanted. report_size:
+ * images: receives count x channels reports in C order, of image_size bytes each; NULL if they are not wanted. image_size:
  *   sizeof(cophase_image_report).
+ * groups: receives count reports of group_size bytes each; NULL if they are not wanted. group_size: sizeof(cophase_group_report).
  *
  * The call succeeds where single images fail: their status is in their reports. COPHASE_INTERRUPTED after
  * cophase_session_cancel; nothing is written then.
  */
 cophase_status cophase_session_fit(cophase_session *session,
                                    const cophase_input *frames,
+                                   size_t channels,
                                    const cophase_fit_options *options,
                                    double *coefficients_nm,
+                                   double *sigma_nm,
                                    size_t modes,
-                                   cophase_image_report *reports,
-                                   size_t report_size);
+                                   cophase_image_report *images,
+                                   size_t image_size,
+                                   cophase_group_report *groups,
+                                   size_t group_size);
 
 /* Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF + background - data)^2 over the
  * pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
  *
- * frames: as in cophase_session_fit; NULL for those of the last evaluation, if no fit came since.
+ * channel: number of the channel in the model, from 0, whose images they are.
+ * frames: count x rows x cols of the channel; NULL for those of its last evaluation, if no fit came since.
  * options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the defaults.
  * coefficients_nm: count x modes numbers in C order. count: number of frames.
  * objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
@@ -938,6 +998,7 @@ cophase_status cophase_session_fit(cophase_session *session,
  * COPHASE_BAD_IMAGE for a frame that cannot be used. COPHASE_BAD_VALUE if frames is NULL and none are loaded.
  */
 cophase_status cophase_session_evaluate(cophase_session *session,
+                                        size_t channel,
                                         const cophase_input *frames,
                                         const cophase_fit_options *options,
                                         const double *coefficients_nm,
@@ -946,20 +1007,31 @@ cophase_status cophase_session_evaluate(cophase_session *session,
                                         double *objectives,
                                         double *gradients);
 
-/* Covariance of the coefficients of one image of the last fit, nm^2, from its noise, scaled by its chi-square where the
- * model misfits. Takes as long as some hundred evaluations.
+/* The result of a group of the last fit with its covariance, in some hundred evaluations of each channel: of one channel that of the
+ * noise, scaled by chi-square where the model misfits. The fits of several channels are combined by their information at the fitted
+ * wavefronts, and the whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate_channels finds in
+ * these frames by the policy COPHASE_POLICY_REALTIME.
  *
- * covariance_nm2: receives modes x modes numbers. COPHASE_BAD_VALUE for an image that was not fitted.
+ * group: number of the group in the last fit, from 0.
+ * coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each may be NULL. modes: the model's
+ *   number of modes.
+ * report: NULL if it is not wanted. report_size: sizeof(cophase_group_report).
+ *
+ * COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels converged.
  */
-cophase_status cophase_session_covariance_nm2(const cophase_session *session,
-                                              size_t image,
-                                              double *covariance_nm2,
-                                              size_t modes);
+cophase_status cophase_session_refine(const cophase_session *session,
+                                      size_t group,
+                                      double *coefficients_nm,
+                                      double *covariance_nm2,
+                                      size_t modes,
+                                      cophase_group_report *report,
+                                      size_t report_size);
 
 /* Writes a text of a session.
  *
- * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the
- * last fit; ignored for the other texts. text, capacity, length: as in cophase_device_list.
+ * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, with that of channels that contradict each other in the last fit,
+ *   COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the last fit, group * channels + channel; ignored for the other
+ *   texts. text, capacity, length: as in cophase_device_list.
  *
  * COPHASE_BAD_VALUE for an image that was not in the last fit.
  */
@@ -969,128 +1041,6 @@ cophase_status cophase_session_text(const cophase_session *session,
                                     char *text,
                                     size_t capacity,
                                     size_t *length);
-
-/* --------------------------------- Session of several channels --------------------------------- */
-
-/* Session of several channels ([[image.channel]]): fits of one frame of each, and the wavefront that they have in common, in memory that
- * is allocated when it is created. Each channel is fitted as a cophase_session fits a frame, to the same bits.
- *
- * One call at a time (COPHASE_BUSY otherwise), except cophase_joint_session_cancel, which any thread may call at any time.
- */
-typedef struct cophase_joint_session cophase_joint_session;
-
-/* Report on the joint result of one frame of each channel. */
-typedef struct {
-  /* The worst status of the channels, a COPHASE_IMAGE_ number; above COPHASE_IMAGE_WRONG_MINIMUM there is no joint result. */
-  int32_t status;
-  /* 1 if the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, of
-   * another wavefront, or in another minimum; in several wavelengths also where a piston is more than half a wavelength from the start.
-   */
-  int32_t is_contradictory;
-  /* Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN without a joint result. */
-  double reduced_chi2;
-  /* Its degrees of freedom; 0 where the channels have no mode in common that both determine. */
-  double freedom;
-  /* The smallest probability of the whole wavelengths of a piston; NaN where they were not sought: in one wavelength, and in a fit. */
-  double piston_probability;
-  /* Duration of the fit, s; NaN of a refinement. */
-  double seconds;
-} cophase_joint_report;
-
-/* Creates a session of a scene with several channels; builds their models, half a second each at the size of Keck.
- *
- * scene_text, directory: as in cophase_model_create. options: NULL for the defaults; a capacity of 0 or 1. session: receives the handle.
- *
- * COPHASE_BAD_SCENE for a scene without channels, or with a channel in focus, which an estimator takes; else as cophase_model_create and
- * cophase_session_create.
- */
-cophase_status cophase_joint_session_create(const char *scene_text,
-                                            const char *directory,
-                                            const cophase_session_options *options,
-                                            cophase_joint_session **session);
-
-/* Frees a session; NULL is fine. */
-void cophase_joint_session_destroy(cophase_joint_session *session);
-
-/* The model of a channel, in the order of the scene from 0: size of its frames, modes, which all channels share, and maps of them.
- *
- * model: receives a handle of its own, which the caller destroys. COPHASE_BAD_VALUE for a channel that the scene does not have.
- */
-cophase_status cophase_joint_session_model(const cophase_joint_session *session,
-                                           size_t channel,
-                                           cophase_model **model);
-
-/* Sets the calibration of later frames of a channel, as cophase_session_calibrate. */
-cophase_status cophase_joint_session_calibrate(cophase_joint_session *session,
-                                               size_t channel,
-                                               const cophase_calibration *calibration);
-
-/* Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one evaluation.
- * A signal handler may call it. [RT]
- */
-cophase_status cophase_joint_session_cancel(const cophase_joint_session *session);
-
-/* Fits one frame of each channel, one after the other, and combines the fits. [RT]
- *
- * frames: one for each channel, in the order of the scene, 1 x rows x cols as the channel says; else as in cophase_session_fit.
- * channels: their number.
- * options: NULL for the defaults. The deadline holds for all channels together; start_nm is 1 x modes, for all.
- * coefficients_nm, sigma_nm: receive the common modes and their error bars (1 sigma), `modes` numbers each; sigma_nm may be NULL. NaN
- *   unless the fits of all channels converged. The channels are weighed, and error bars are, as at a flat wavefront with the flux and
- *   the noise of the frames, scaled by chi-square where a model misfits or the channels contradict each other.
- * modes: number of modes of the models.
- * report: NULL if it is not wanted. report_size: sizeof(cophase_joint_report).
- * images: receives a report on each channel's own fit, of image_size bytes each; NULL if they are not wanted. image_size:
- *   sizeof(cophase_image_report).
- *
- * The call succeeds where single frames fail: see the reports. COPHASE_INTERRUPTED after cophase_joint_session_cancel; nothing is written
- * then.
- */
-cophase_status cophase_joint_session_fit(cophase_joint_session *session,
-                                         const cophase_input *frames,
-                                         size_t channels,
-                                         const cophase_fit_options *options,
-                                         double *coefficients_nm,
-                                         double *sigma_nm,
-                                         size_t modes,
-                                         cophase_joint_report *report,
-                                         size_t report_size,
-                                         cophase_image_report *images,
-                                         size_t image_size);
-
-/* Combines the last fits by their information at the fitted wavefronts, and finds the whole wavelengths of pistons
- * (modes.piston_range_nm): what cophase_estimator_estimate_channels finds in these frames by the policy COPHASE_POLICY_REALTIME. It takes
- * as long as some hundred evaluations of each channel.
- *
- * coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each may be NULL. modes: number of modes.
- * report: NULL if it is not wanted. report_size: sizeof(cophase_joint_report).
- *
- * COPHASE_BAD_VALUE unless the last fits of all channels converged.
- */
-cophase_status cophase_joint_session_refine(const cophase_joint_session *session,
-                                            double *coefficients_nm,
-                                            double *covariance_nm2,
-                                            size_t modes,
-                                            cophase_joint_report *report,
-                                            size_t report_size);
-
-/* Number of channels of a session, in `*channels`. */
-cophase_status cophase_joint_session_channels(const cophase_joint_session *session, size_t *channels);
-
-/* Writes a text of a session.
- *
- * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_CHANNEL_NAME, COPHASE_TEXT_WARNINGS, with that of channels that contradict each other in
- *   the last fit, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: channel; ignored for the other texts. text, capacity, length: as in
- *   cophase_device_list.
- *
- * COPHASE_BAD_VALUE for a channel that the scene does not have, and for an image message without a fit.
- */
-cophase_status cophase_joint_session_text(const cophase_joint_session *session,
-                                          int32_t what,
-                                          size_t index,
-                                          char *text,
-                                          size_t capacity,
-                                          size_t *length);
 
 /* ------------------------------------------ Sequence ------------------------------------------- */
 
@@ -1121,6 +1071,8 @@ typedef struct {
 
 /* Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
  * call. sequence: receives the handle.
+ *
+ * COPHASE_BAD_VALUE for a model of several channels.
  */
 cophase_status cophase_sequence_create(const cophase_model *model,
                                        size_t capacity,
@@ -1132,7 +1084,7 @@ void cophase_sequence_destroy(cophase_sequence *sequence);
 /* Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops
  * all images. [RT]
  *
- * COPHASE_BAD_VALUE for a session of another model. COPHASE_BUSY while the session is in use.
+ * COPHASE_BAD_VALUE for a session of another model, or of several channels. COPHASE_BUSY while the session is in use.
  */
 cophase_status cophase_sequence_push(cophase_sequence *sequence,
                                      const cophase_session *session);

@@ -2,7 +2,7 @@
 
 use cophase::capi::*;
 use cophase::imaging::Precision;
-use cophase::modal::{FitOptions, JointSession, ModalFitter, Refusal, Session, SessionOptions, Status};
+use cophase::modal::{ChannelFitters, FitOptions, ModalFitter, Refusal, Session, SessionOptions, Status};
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
@@ -97,21 +97,21 @@ fn silent(scene: &Scene, precision: Precision) {
     let options = SessionOptions { capacity: 5, precision: Some(precision), ..SessionOptions::default() };
     let mut session = Session::new(estimator, &options).unwrap();
     for (i, image_e) in images_e.outer_iter().enumerate() {
-        session.frame_mut(i).unwrap().0.assign(&image_e);
+        session.frame_mut(i, 0).unwrap().0.assign(&image_e);
     }
-    session.frame_mut(4).unwrap().0.fill(7.0);
+    session.frame_mut(4, 0).unwrap().0.fill(7.0);
     // Another thread than the session was made on: what the libraries keep per thread would show.
     let work = move || {
         let start_nm = Array2::from_elem((5, modes), 1.0);
         let (fitted, calls) = counted(|| session.fit(5, &FitOptions::default()));
         fitted.unwrap();
         assert_eq!(calls, 0, "a fit of five frames");
-        let statuses: Vec<Status> = session.results().iter().map(|result| result.report.status).collect();
+        let statuses: Vec<Status> = session.results().iter().map(|result| result.status).collect();
         let fitted = |status: &Status| matches!(status, Status::Ok | Status::Misfit);
         assert!(statuses[..4].iter().all(fitted), "{statuses:?}");
         assert_eq!(statuses[4], Status::Unusable(Refusal::Constant { value: 7.0 }));
         // A fit of these takes a dozen evaluations in the first weights, and some in each renewal of them.
-        let evaluations = session.results()[0].report.evaluations;
+        let evaluations = session.channels()[0].results()[0].report.evaluations;
         assert!(evaluations > 5, "{evaluations}");
 
         let warm = FitOptions { start_nm: Some(start_nm.view()), read_noise_e: Some(0.0), ..FitOptions::default() };
@@ -128,18 +128,18 @@ fn silent(scene: &Scene, precision: Precision) {
             fitted.unwrap();
             assert_eq!(calls, 0, "a fit up to a deadline");
             let late = Status::NotConverged(StopReason::DeadlineReached);
-            if session.results().iter().any(|result| result.report.status == late) {
+            if session.results().iter().any(|result| result.status == late) {
                 break;
             }
             share *= 0.5;
         }
 
-        let (loaded, calls) = counted(|| session.load(4, None));
+        let (loaded, calls) = counted(|| session.load(0, 4, None));
         loaded.unwrap();
         assert_eq!(calls, 0, "loading");
         let (mut objectives, mut gradients) = (vec![0.0; 4], vec![0.0; 4 * modes]);
         let at = start_nm.slice(ndarray::s![..4, ..]);
-        let (evaluated, calls) = counted(|| session.evaluate(at, &mut objectives, &mut gradients));
+        let (evaluated, calls) = counted(|| session.evaluate(0, at, &mut objectives, &mut gradients));
         evaluated.unwrap();
         assert_eq!(calls, 0, "evaluating");
         assert!(objectives.iter().all(|objective| *objective > 0.0));
@@ -188,18 +188,20 @@ fn sessions_of_several_channels() {
     for channel in ["diversity_focus_waves_rms = -0.8", "wavelength_nm = 1640.0"] {
         let scene = channels(channel);
         let images_e = source::simulate_channels(&scene).unwrap();
-        let mut session = JointSession::new(&scene, &SessionOptions::default()).unwrap();
-        for (channel, made) in images_e.iter().enumerate() {
-            session.frame_mut(channel).unwrap().0.assign(&made.images_e.index_axis(Axis(0), 0));
+        let fitters = ChannelFitters::new(&scene).unwrap();
+        let mut session = Session::new(fitters, &SessionOptions { capacity: 2, ..SessionOptions::default() }).unwrap();
+        for (group, channel) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let frame_e = images_e[channel].images_e.index_axis(Axis(0), 0);
+            session.frame_mut(group, channel).unwrap().0.assign(&frame_e);
         }
         let work = move || {
-            let (fitted, calls) = counted(|| session.fit(&FitOptions::default()));
+            let (fitted, calls) = counted(|| session.fit(2, &FitOptions::default()));
             fitted.unwrap();
-            assert_eq!(calls, 0, "a fit of a frame of each channel");
-            let fit = session.result().unwrap();
+            assert_eq!(calls, 0, "a fit of two frames of each channel");
+            let fit = &session.results()[1];
             assert!(fit.sigma_nm.iter().all(|sigma| *sigma > 0.0 && sigma.is_finite()), "{:?}", fit.sigma_nm);
             let late = FitOptions { deadline: Some(Duration::ZERO), ..FitOptions::default() };
-            let (fitted, calls) = counted(|| session.fit(&late));
+            let (fitted, calls) = counted(|| session.fit(2, &late));
             fitted.unwrap();
             assert_eq!(calls, 0, "a fit past its deadline");
         };
@@ -237,18 +239,18 @@ fn the_calls_of_a_session_of_several_channels_marked_rt() {
         // SAFETY: zeros are the defaults.
         let mut options = std::mem::zeroed::<cophase_session_options>();
         (options.struct_size, options.device) = (size_of_val(&options), c"cpu".as_ptr());
-        assert_eq!(cophase_joint_session_create(text.as_ptr(), null(), &options, &mut session), COPHASE_OK);
-        assert_eq!(cophase_joint_session_model(session, 1, &mut model), COPHASE_OK);
+        assert_eq!(cophase_model_create(text.as_ptr(), null(), null(), &mut model), COPHASE_OK);
+        assert_eq!(cophase_session_create(model, &options, &mut session), COPHASE_OK);
         let mut info = MaybeUninit::<cophase_model_info>::uninit();
         assert_eq!(cophase_model_get_info(model, info.as_mut_ptr(), size_of::<cophase_model_info>()), COPHASE_OK);
         let modes = info.assume_init().modes;
         cophase_model_destroy(model);
         let (mut coefficients_nm, mut sigma_nm) = (vec![0.0; modes], vec![0.0; modes]);
-        let mut report = MaybeUninit::<cophase_joint_report>::uninit();
+        let mut group = MaybeUninit::<cophase_group_report>::uninit();
         let mut images = [MaybeUninit::<cophase_image_report>::uninit(); 2];
         let (first, size) = (images.as_mut_ptr().cast(), size_of::<cophase_image_report>());
         let (status, calls) = counted(|| {
-            cophase_joint_session_fit(
+            cophase_session_fit(
                 session,
                 frames.as_ptr(),
                 2,
@@ -256,21 +258,20 @@ fn the_calls_of_a_session_of_several_channels_marked_rt() {
                 coefficients_nm.as_mut_ptr(),
                 sigma_nm.as_mut_ptr(),
                 modes,
-                report.as_mut_ptr(),
-                size_of::<cophase_joint_report>(),
                 first,
                 size,
+                group.as_mut_ptr(),
+                size_of::<cophase_group_report>(),
             )
         });
         assert_eq!((status, calls), (COPHASE_OK, 0), "fit");
-        assert_eq!(counted(|| cophase_joint_session_cancel(session)), (COPHASE_OK, 0), "cancel");
-        let report = report.assume_init();
-        assert!(report.status <= COPHASE_IMAGE_MISFIT && report.is_contradictory == 0, "{report:?}");
+        let group = group.assume_init();
+        assert!(group.status <= COPHASE_IMAGE_MISFIT && group.is_contradictory == 0, "{group:?}");
         for (channel, image) in images.into_iter().enumerate() {
             let image = image.assume_init();
             assert!(image.channel == channel as i64 && image.is_used == 1 && image.evaluations > 5, "{image:?}");
         }
-        cophase_joint_session_destroy(session);
+        cophase_session_destroy(session);
     }
 }
 
@@ -310,7 +311,7 @@ fn the_calls_of_the_c_interface_marked_rt() {
         calibration.struct_size = size_of_val(&calibration);
         (calibration.dark, calibration.gain_e) = (input(&dark, COPHASE_F32, [1, 120, 132]), 3.0);
         calibration.saturation = 65535.0;
-        assert_eq!(cophase_session_calibrate(session, &calibration), COPHASE_OK);
+        assert_eq!(cophase_session_calibrate(session, 0, &calibration), COPHASE_OK);
         info.assume_init().modes
     };
     let frames = input(&raw, COPHASE_U16, shape);
@@ -324,14 +325,17 @@ fn the_calls_of_the_c_interface_marked_rt() {
     };
     unsafe {
         let (out, first) = (coefficients_nm.as_mut_ptr(), reports.as_mut_ptr().cast());
-        call("fit", &mut || cophase_session_fit(session, &frames, null(), out, modes, first, size));
+        let (sigma, groups) = (null_mut(), null_mut());
+        call("fit", &mut || {
+            cophase_session_fit(session, &frames, 1, null(), out, sigma, modes, first, size, groups, 0)
+        });
         // More than it keeps.
         call("push", &mut || cophase_sequence_push(sequence, session));
         call("push again", &mut || cophase_sequence_push(sequence, session));
         let (objectives, gradients) = (objectives.as_mut_ptr(), gradients.as_mut_ptr());
         for frames in [&raw const frames, null()] {
             call("evaluate", &mut || {
-                cophase_session_evaluate(session, frames, null(), out, 4, modes, objectives, gradients)
+                cophase_session_evaluate(session, 0, frames, null(), out, 4, modes, objectives, gradients)
             });
         }
         call("clear", &mut || cophase_sequence_push(sequence, null()));

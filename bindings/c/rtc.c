@@ -106,7 +106,8 @@ static void *estimator(void *unused)
         if (queue.written == next)
             break;
         frame.data = queue.slots[next % SLOTS].pixels;
-        check(cophase_session_fit(session, &frame, &options, coefficients_nm, modes, &report, sizeof report));
+        check(cophase_session_fit(session, &frame, 1, &options, coefficients_nm, NULL, modes, &report, sizeof report,
+                                  NULL, 0));
         pushed = cophase_sequence_push(sequence, session);
         if (pushed == COPHASE_BUSY) /* it is being read: do not wait, push the next image instead */
             skipped++;

@@ -22,8 +22,7 @@ function build(library_directory, output_directory)
         error('cophase:BAD_FILE', ['%s holds no libcophase: run ''cargo build --release'', or give the folder of an installed ' ...
             'one, build(''/prefix/lib'')'], library_directory);
     end
-    files = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'estimate', 'session', ...
-        'joint_session', 'sequence', 'simulator'};
+    files = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'estimate', 'session', 'sequence', 'simulator'};
     sources = strcat(fullfile(here, 'gateway', files), '.c');
     include = ['-I' fullfile(root, 'include')];
     library = {['-L' library_directory], '-lcophase'};

@@ -77,8 +77,7 @@ def error_bars():
     electrons, sigma_nm = np.array([1e6, 3e6, 1e7, 3e7, 1e8, 3e8, 1e9]), []
     for flux_e in electrons:
         fit = session.fit(exposure_e(psf, flux_e), read_noise_e=READ_NOISE_E)
-        covariance_nm2 = session.covariance_nm2()
-        bars_nm = np.sqrt(np.diag(covariance_nm2))[segments]
+        bars_nm = session.refine().sigma_nm[segments]
         sigma_nm.append(np.sqrt((bars_nm**2).mean()))
         if flux_e == 3e7:
             off_nm = (fit.coefficients_nm - truth_nm)[segments]

@@ -46,20 +46,20 @@ wavelength_nm = 1640
 """
 )
 
-session = cophase.JointSession(two_colours)
-models = dict(zip(session.channels, session.models))
-segments = slice(0, models["K"].segment_modes)
+model = cophase.Model(two_colours)
+segments = slice(0, model.segment_modes)
 random = np.random.default_rng(3)
-truth_nm = 10 * random.standard_normal(models["K"].modes)
-truth_nm[segments] = 1500 * random.standard_normal(models["K"].segment_modes)
+truth_nm = 10 * random.standard_normal(model.modes)
+truth_nm[segments] = 1500 * random.standard_normal(model.segment_modes)
 truth_nm[segments] -= truth_nm[segments].mean()
 
 frames_e = {}
-for name, model in models.items():
-    psf = model.psf(truth_nm)
-    frame_e = np.zeros(model.frame_shape)
-    edge = (model.frame_shape[0] - model.pixels) // 2
-    frame_e[edge : edge + model.pixels, edge : edge + model.pixels] = psf * 300**2 / psf.max()
+for name in model.channels:
+    channel = model.channel(name)
+    psf = channel.psf(truth_nm)
+    frame_e = np.zeros(channel.frame_shape)
+    edge = (channel.frame_shape[0] - channel.pixels) // 2
+    frame_e[edge : edge + channel.pixels, edge : edge + channel.pixels] = psf * 300**2 / psf.max()
     frames_e[name] = random.poisson(frame_e) + 20 * random.standard_normal(frame_e.shape)
 
 # %%

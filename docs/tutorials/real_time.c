@@ -54,7 +54,8 @@ int main(void)
 
     for (i = 0; i < FRAMES; i++) {
         expose(psf, PIXELS * PIXELS, 1e6, 10, frame_e);
-        must(cophase_session_fit(session, &frame, &fit, found_nm, info.modes, &report, sizeof report));
+        must(cophase_session_fit(session, &frame, 1, &fit, found_nm, NULL, info.modes, &report, sizeof report,
+                                 NULL, 0));
         if (report.status == COPHASE_IMAGE_OK)
             must(cophase_sequence_push(sequence, session));
         single_nm += error_nm(found_nm, truth_nm, info.segment_modes) / FRAMES;
@@ -68,7 +69,8 @@ int main(void)
     printf("error of the pistons: one frame %.2f nm, running estimate %.2f nm\n", single_nm, running_nm);
 
     fit.deadline_s = 1e-3;
-    must(cophase_session_fit(session, &frame, &fit, found_nm, info.modes, &report, sizeof report));
+    must(cophase_session_fit(session, &frame, 1, &fit, found_nm, NULL, info.modes, &report, sizeof report,
+                             NULL, 0));
     printf("%s after %llu evaluations\n", cophase_status_name(report.status), (unsigned long long)report.evaluations);
 
     cophase_sequence_destroy(sequence);

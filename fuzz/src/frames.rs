@@ -90,7 +90,7 @@ impl Session {
                 self.calibrate(array, &mut take);
             }
             let fitted = self.fit(&array, &options);
-            refusal(cophase_session_calibrate(self.session, ptr::null()));
+            refusal(cophase_session_calibrate(self.session, 0, ptr::null()));
             fitted
         }
     }
@@ -106,7 +106,7 @@ impl Session {
                 _ => calibration.bad = array,
             }
             (calibration.gain_e, calibration.saturation) = (take.real(), take.real());
-            refusal(cophase_session_calibrate(self.session, &calibration));
+            refusal(cophase_session_calibrate(self.session, 0, &calibration));
         }
     }
 
@@ -118,7 +118,8 @@ impl Session {
             // SAFETY: as the caller says; room for as many coefficients as the session may give.
             status = unsafe {
                 let (session, out) = (self.session, coefficients.as_mut_ptr());
-                cophase_session_fit(session, array, options, out, self.modes, ptr::null_mut(), 0)
+                let (sigma, images, groups) = (ptr::null_mut(), ptr::null_mut(), ptr::null_mut());
+                cophase_session_fit(session, array, 1, options, out, sigma, self.modes, images, 0, groups, 0)
             };
             refusal(status);
         }

@@ -40,15 +40,7 @@ pub(super) trait Object {
 }
 
 /// What the objects are, for messages.
-const NOUNS: [&str; 7] = [
-    "an estimator",
-    "an estimate",
-    "a model",
-    "a session",
-    "a session of several channels",
-    "a sequence",
-    "a simulator",
-];
+const NOUNS: [&str; 6] = ["an estimator", "an estimate", "a model", "a session", "a sequence", "a simulator"];
 
 /// The object at `pointer`, the argument `name` of a call, as far as its memory still shows it: that may belong to another object by now.
 ///

@@ -5,7 +5,7 @@ use super::status::{
     COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
     COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
 };
-use crate::modal::{ImageResult, JointFit, Status};
+use crate::modal::{ImageResult, Status};
 use crate::optimize::StopReason;
 use crate::pipeline::{ImageOutcome, ImageStatus};
 
@@ -16,7 +16,7 @@ use crate::pipeline::{ImageOutcome, ImageStatus};
 pub struct cophase_image_report {
     /// COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number.
     pub status: i32,
-    /// 1 if the image was combined into the estimate or the joint result, else 0; 0 in a cophase_session, which combines nothing.
+    /// 1 if the image was combined into the estimate, or with other channels into the result of a session, else 0.
     pub is_used: i32,
     /// 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session.
     pub is_clipped: i32,
@@ -45,12 +45,12 @@ pub struct cophase_image_report {
 }
 
 impl cophase_image_report {
-    pub(super) fn from_session(result: &ImageResult) -> Self {
+    pub(super) fn from_session(result: &ImageResult, channel: usize, is_used: bool) -> Self {
         let report = &result.report;
         let [tip_nm, tilt_nm] = report.tip_tilt_nm;
         Self {
             status: number(&report.status),
-            is_used: 0,
+            is_used: is_used.into(),
             is_clipped: 0,
             bad_pixels: i32::try_from(report.bad_pixels).unwrap_or(i32::MAX),
             rejected_pixels: i32::try_from(report.rejected.total()).unwrap_or(i32::MAX),
@@ -62,13 +62,8 @@ impl cophase_image_report {
             tip_nm,
             tilt_nm,
             seconds: result.seconds,
-            channel: 0,
+            channel: channel as i64,
         }
-    }
-
-    pub(super) fn from_joint_session(result: &ImageResult, channel: usize, fit: &JointFit) -> Self {
-        let is_used = fit.coefficients_nm.iter().all(|nm| nm.is_finite());
-        Self { channel: channel as i64, is_used: is_used.into(), ..Self::from_session(result) }
     }
 
     pub(super) fn from_estimate(image: &ImageOutcome, policy: i32) -> Self {

@@ -2,11 +2,11 @@
 
 use super::handle::{Handle, Object, fence, find, give_back};
 use super::input::{Input, cophase_input};
-use super::pointer::{numbers, place, put, put_array, text};
+use super::pointer::{numbers, place, put, put_array, put_if_wanted, text};
 use super::sized::{self, Options, Outputs};
 use super::status::cophase_status;
 use crate::machine::start_threads;
-use crate::modal::{Arrays, ModalFitter};
+use crate::modal::{Arrays, ChannelFitters, ModalFitter};
 use crate::modes::Group;
 use crate::scene::Scene;
 use crate::{Error, Result, planner};
@@ -15,7 +15,8 @@ use std::ffi::{CString, c_char};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it.
+/// Model of the images of a wavefront: telescope, modes, and of each channel ([[image.channel]]) diversity and camera; a scene that lists no
+/// channels has one. Immutable: any number of threads may use it.
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_model(Handle<Named>);
 
@@ -23,10 +24,11 @@ impl Object for cophase_model {
     const KIND: u64 = 2;
 }
 
-/// The model, with the names of its modes as C has them.
+/// The model, with the names of its modes and its channels as C has them.
 struct Named {
-    estimator: Arc<ModalFitter>,
-    names: Vec<CString>,
+    fitters: ChannelFitters,
+    modes: Vec<CString>,
+    channels: Vec<CString>,
 }
 
 /// Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A pupil of at least twice
@@ -59,50 +61,53 @@ pub struct cophase_model_info {
     pub modes: usize,
     /// Number of modes that move segments; they come first, the others are NCPA modes.
     pub segment_modes: usize,
-    /// Rows of a frame.
+    /// Rows of a frame; of several channels, those of the first.
     pub rows: usize,
-    /// Columns of a frame.
+    /// Columns of a frame; of several channels, those of the first.
     pub cols: usize,
     /// Rows, and columns, of a wavefront map.
     pub samples: usize,
-    /// Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling.
+    /// Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling; of several
+    /// channels, those of the first.
     pub pixels: usize,
+    /// Number of channels, which have the same modes; 1 for a scene that lists none.
+    pub channels: usize,
 }
 
 impl Named {
-    fn new(estimator: Arc<ModalFitter>) -> Result<Self> {
-        let name = |name: &String| {
-            CString::new(name.as_str()).map_err(|error| Error::Internal(format!("a mode's name holds a zero: {error}")))
+    fn new(fitters: ChannelFitters) -> Result<Self> {
+        let name = |name: &str| {
+            CString::new(name).map_err(|error| Error::Internal(format!("a name of the model holds a zero: {error}")))
         };
-        let names = estimator.model().basis.names().iter().map(name).collect::<Result<_>>()?;
-        Ok(Self { estimator, names })
+        let modes = fitters.first().model().basis.names().iter().map(|mode| name(mode)).collect::<Result<_>>()?;
+        let channels = fitters.iter().map(|(channel, _)| name(channel)).collect::<Result<_>>()?;
+        Ok(Self { fitters, modes, channels })
     }
 
     fn info(&self) -> cophase_model_info {
-        let model = self.estimator.model();
+        let model = self.fitters.first().model();
         let [cols, rows] = model.preparation.frame;
         cophase_model_info {
-            modes: self.names.len(),
+            modes: self.modes.len(),
             segment_modes: model.segment_modes,
             rows,
             cols,
             samples: model.telescope.pupil.grid.samples(),
             pixels: model.preparation.pixels,
+            channels: self.channels.len(),
         }
     }
 
     /// The coefficients at `pointer`, of which there must be `modes`.
     unsafe fn coefficients<'a>(&self, pointer: *const f64, modes: usize) -> Result<&'a [f64]> {
-        check_modes(modes, self.names.len())?;
+        check_modes(modes, self.modes.len())?;
         unsafe { numbers(pointer, modes, "coefficients_nm") }
     }
 }
 
-impl cophase_model {
-    /// A handle of a model.
-    pub(super) fn of(estimator: Arc<ModalFitter>) -> Result<*mut Self> {
-        Ok(Box::into_raw(Box::new(Self(Handle::new::<Self>(Named::new(estimator)?, ())))))
-    }
+/// A new handle of a model.
+fn handle_of(fitters: ChannelFitters) -> Result<*mut cophase_model> {
+    Ok(Box::into_raw(Box::new(cophase_model(Handle::new::<cophase_model>(Named::new(fitters)?, ())))))
 }
 
 /// Refuses arrays that were made for another number of modes.
@@ -113,9 +118,9 @@ pub(super) fn check_modes(given: usize, modes: usize) -> Result<()> {
     Ok(())
 }
 
-/// The estimator behind a handle.
-pub(super) unsafe fn estimator(model: *const cophase_model) -> Result<Arc<ModalFitter>> {
-    unsafe { find(model, "model") }?.0.look(|model| model.estimator.clone())
+/// The fitters behind a handle.
+pub(super) unsafe fn fitters(model: *const cophase_model) -> Result<ChannelFitters> {
+    unsafe { find(model, "model") }?.0.look(|model| model.fitters.clone())
 }
 
 /// A call that reads the model.
@@ -130,15 +135,15 @@ pub(super) unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_ch
     Ok((scene_text, Path::new(directory)))
 }
 
-/// Builds the model of a scene; about half a second at the size of Keck.
+/// Builds the model of a scene; about half a second for each channel at the size of Keck.
 ///
 /// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
 ///   takes some seconds.
 /// directory: directory of the files that the scene names; NULL for the working directory.
-/// arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. They have the effect
-///   of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment pistons
-///   (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes says
-///   otherwise.
+/// arrays: telescope of the caller's instead of that of a scene with one channel; NULL for the scene's. The arrays are copied. They
+///   have the effect of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment
+///   pistons (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes
+///   says otherwise.
 /// model: receives the handle.
 ///
 /// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and
@@ -155,17 +160,17 @@ pub unsafe extern "C" fn cophase_model_create(
         let out = place(model, "model")?;
         start_threads()?;
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
-        let estimator = if arrays.is_null() {
+        let fitters = if arrays.is_null() {
             let scene = Scene::from_text(scene_text, directory)?;
             // Bad pixels are known frame by frame only: a scene for a camera that has some sets estimate.sampling.
             let resolved = planner::resolve(&scene, None)?;
-            ModalFitter::new(&resolved, false)?
+            ChannelFitters::new(&resolved)?
         } else {
             let scene = Scene::for_arrays(scene_text, directory)?;
             let arrays = unsafe { sized::read(arrays, "arrays") }?;
-            ModalFitter::from_arrays(&scene, &unsafe { copied(&arrays) }?)?
+            Arc::new(ModalFitter::from_arrays(&scene, &unsafe { copied(&arrays) }?)?).into()
         };
-        unsafe { out.write(cophase_model::of(Arc::new(estimator))?) };
+        unsafe { out.write(handle_of(fitters)?) };
         Ok(())
     })
 }
@@ -216,6 +221,34 @@ pub unsafe extern "C" fn cophase_model_get_info(
     }
 }
 
+/// Model of one of the channels of a model, in the order of the scene.
+///
+/// channel: number of the channel, from 0.
+/// name: receives its name, a text that lives as long as `model`, empty for a scene that lists no channels; NULL if it is not wanted.
+/// channel_model: receives a handle, which the caller destroys; NULL if it is not wanted.
+///
+/// COPHASE_BAD_VALUE for a channel that the model does not have.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_model_channel(
+    model: *const cophase_model,
+    channel: usize,
+    name: *mut *const c_char,
+    channel_model: *mut *mut cophase_model,
+) -> cophase_status {
+    unsafe {
+        read(model, |model| {
+            let of_channel = model.fitters.of_channel(channel)?;
+            if !name.is_null() {
+                place(name, "name")?;
+            }
+            if !channel_model.is_null() {
+                place(channel_model, "channel_model")?.write(handle_of(of_channel)?);
+            }
+            put_if_wanted(name, "name", model.channels[channel].as_ptr())
+        })
+    }
+}
+
 /// Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model. COPHASE_BAD_VALUE for no such mode.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_mode_name(
@@ -225,8 +258,8 @@ pub unsafe extern "C" fn cophase_model_mode_name(
 ) -> cophase_status {
     unsafe {
         read(model, |model| {
-            let found = model.names.get(mode).ok_or_else(|| {
-                Error::Value(format!("mode is {mode}: 0 to {} is accepted", model.names.len().saturating_sub(1)))
+            let found = model.modes.get(mode).ok_or_else(|| {
+                Error::Value(format!("mode is {mode}: 0 to {} is accepted", model.modes.len().saturating_sub(1)))
             })?;
             put(name, "name", found.as_ptr())
         })
@@ -248,7 +281,7 @@ pub unsafe extern "C" fn cophase_model_wavefront_nm(
     unsafe {
         read(model, |named| {
             let coefficients_nm = named.coefficients(coefficients_nm, modes)?;
-            let model = named.estimator.model();
+            let model = named.fitters.first().model();
             let samples = model.telescope.pupil.grid.samples();
             let maps = [Group::Segment, Group::Ncpa].map(|group| model.map_nm(coefficients_nm, group));
             put_array(out, count, &[2, samples, samples], maps.into_iter().flatten())
@@ -256,10 +289,12 @@ pub unsafe extern "C" fn cophase_model_wavefront_nm(
     }
 }
 
-/// PSF of some coefficients with the diversity, at the pixels that are compared. Its sum over an unbounded detector would
-/// be 1. The optical axis is on row and column pixels/2.
+/// PSF of some coefficients with the diversity of a model with one channel, at the pixels that are compared. Its sum over an unbounded
+/// detector would be 1. The optical axis is on row and column pixels/2.
 ///
 /// coefficients_nm: `modes` numbers. out: receives pixels x pixels numbers. count: their number.
+///
+/// COPHASE_BAD_VALUE for a model of several channels: see cophase_model_channel.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_psf(
     model: *const cophase_model,
@@ -271,8 +306,9 @@ pub unsafe extern "C" fn cophase_model_psf(
     unsafe {
         read(model, |named| {
             let coefficients_nm = named.coefficients(coefficients_nm, modes)?;
-            let pixels = named.estimator.model().preparation.pixels;
-            let psf = named.estimator.reference_chain().psf(ArrayView1::from(coefficients_nm));
+            let fitter = named.fitters.only("cophase_model_psf")?;
+            let pixels = fitter.model().preparation.pixels;
+            let psf = fitter.reference_chain().psf(ArrayView1::from(coefficients_nm));
             put_array(out, count, &[pixels, pixels], psf)
         })
     }

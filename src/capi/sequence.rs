@@ -1,7 +1,7 @@
 //! Sequences: running estimate of images that are fitted one by one.
 
 use super::handle::{Handle, Object, fence, find, give_back};
-use super::model::{check_modes, cophase_model, estimator};
+use super::model::{check_modes, cophase_model, fitters};
 use super::pointer::{place, put, put_array};
 use super::session::{self, cophase_session};
 use super::sized::Outputs;
@@ -15,7 +15,7 @@ use crate::modal::{Accumulator, RunningEstimate};
 pub struct cophase_sequence(Handle<Accumulator>);
 
 impl Object for cophase_sequence {
-    const KIND: u64 = 5;
+    const KIND: u64 = 4;
 }
 
 /// Figures of a running estimate. RMS values are over the pupil.
@@ -68,6 +68,8 @@ unsafe fn change(sequence: *mut cophase_sequence, body: impl FnOnce(&mut Accumul
 
 /// Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
 /// call. sequence: receives the handle.
+///
+/// COPHASE_BAD_VALUE for a model of several channels.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_create(
     model: *const cophase_model,
@@ -76,7 +78,7 @@ pub unsafe extern "C" fn cophase_sequence_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(sequence, "sequence")?;
-        let made = Accumulator::new(unsafe { estimator(model) }?, capacity)?;
+        let made = Accumulator::new(unsafe { fitters(model) }?.only("a sequence")?.clone(), capacity)?;
         unsafe { out.write(Box::into_raw(Box::new(cophase_sequence(Handle::new::<cophase_sequence>(made, ()))))) };
         Ok(())
     })
@@ -91,7 +93,7 @@ pub unsafe extern "C" fn cophase_sequence_destroy(sequence: *mut cophase_sequenc
 /// Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops
 /// all images. [RT]
 ///
-/// COPHASE_BAD_VALUE for a session of another model. COPHASE_BUSY while the session is in use.
+/// COPHASE_BAD_VALUE for a session of another model, or of several channels. COPHASE_BUSY while the session is in use.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_push(
     sequence: *mut cophase_sequence,

@@ -1,11 +1,12 @@
 //! Sessions: fits with a deadline, in memory that is allocated beforehand.
 
 use super::calibration::{calibration, cophase_calibration, read_noise_e};
+use super::group_report::cophase_group_report;
 use super::handle::{Handle, Object, fence, find, give_back};
 use super::image_report::cophase_image_report;
 use super::input::{COPHASE_F32, COPHASE_F64, Input, cophase_input};
-use super::model::{check_modes, cophase_model, estimator};
-use super::pointer::{numbers, numbers_mut, place, put_text, text};
+use super::model::{check_modes, cophase_model, fitters};
+use super::pointer::{numbers, numbers_mut, place, put_text, source, text};
 use super::sized::{self, Options, Outputs};
 use super::status::{COPHASE_OK, cophase_status};
 use super::text::*;
@@ -14,14 +15,17 @@ use crate::machine::start_threads;
 use crate::modal::{Calibration, CameraMaps, FitOptions, ModalFitter, Session, SessionOptions};
 use crate::optimize::CancelFlag;
 use crate::{Error, Result};
-use ndarray::{ArrayView2, ArrayViewMut2};
+use ndarray::ArrayView2;
 use std::ffi::c_char;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
+/// Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
 /// COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
 /// with any other frames in the call.
+///
+/// A group is what sees one wavefront: one frame of each channel of the model, which is one image of a model with one channel. Each
+/// channel is fitted by itself, and the fits of several channels are combined: the modes that they have in common.
 ///
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header
@@ -34,7 +38,8 @@ impl Object for cophase_session {
 /// What a call works on.
 pub(super) struct Working {
     session: Session,
-    calibration: Calibration,
+    /// One for each channel.
+    calibrations: Vec<Calibration>,
 }
 
 /// Options of a session.
@@ -44,7 +49,7 @@ pub(super) struct Working {
 pub struct cophase_session_options {
     /// sizeof(cophase_session_options).
     pub struct_size: usize,
-    /// Largest number of images of a call; 0 means 1.
+    /// Largest number of groups of a call, which are images of a model with one channel; 0 means 1.
     pub capacity: usize,
     /// Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for the scene's
     /// estimate.device. [RT] calls need "cpu".
@@ -74,7 +79,7 @@ pub struct cophase_fit_options {
     pub deadline_s: f64,
     /// Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1.
     pub read_noise_e: f64,
-    /// Starts of the fits, nm: count x modes in C order. NULL for a flat wavefront.
+    /// Starts of the fits, nm: count x modes in C order, each that of all channels of a group. NULL for a flat wavefront.
     pub start_nm: *const f64,
     /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's.
     pub has_read_noise: i64,
@@ -90,7 +95,7 @@ pub(super) fn precision_number(precision: Precision) -> i32 {
 }
 
 /// A caller's options, checked.
-pub(super) unsafe fn session_options(options: &cophase_session_options) -> Result<SessionOptions> {
+unsafe fn session_options(options: &cophase_session_options) -> Result<SessionOptions> {
     let device = if options.device.is_null() {
         None
     } else {
@@ -125,11 +130,7 @@ pub(super) unsafe fn session_options(options: &cophase_session_options) -> Resul
 }
 
 /// A caller's options, checked. The caller's promise: `count` x `modes` numbers at `start_nm`.
-pub(super) unsafe fn fit_options<'a>(
-    options: &cophase_fit_options,
-    count: usize,
-    modes: usize,
-) -> Result<FitOptions<'a>> {
+unsafe fn fit_options<'a>(options: &cophase_fit_options, count: usize, modes: usize) -> Result<FitOptions<'a>> {
     let deadline_s = options.deadline_s;
     if deadline_s.is_nan() || deadline_s < 0.0 {
         return Err(Error::Value(format!("options->deadline_s is {deadline_s}: 0 or more is accepted")));
@@ -150,42 +151,59 @@ pub(super) unsafe fn fit_options<'a>(
 }
 
 impl Working {
-    /// Copies a caller's frames into those of the session; how many they are.
-    fn take(&mut self, frames: &Input) -> Result<usize> {
-        let (rows, cols) = self.calibration.shape();
-        let [count, ..] = frames.shape();
+    fn new(session: Session) -> Result<Self> {
+        let calibrations = session.channels().iter().map(|channel| electrons_of(channel.estimator()));
+        Ok(Self { calibrations: calibrations.collect::<Result<_>>()?, session })
+    }
+
+    /// Copies a caller's frames of all channels into those of the session; the number of groups.
+    unsafe fn take_all(&mut self, frames: *const cophase_input, channels: usize) -> Result<usize> {
+        let first = source(frames, "frames")?;
+        let wanted = self.calibrations.len();
+        if channels != wanted {
+            return Err(Error::Shape(format!("channels is {channels}: {wanted} is accepted, those of the model")));
+        }
+        let inputs = |channel| unsafe { Input::new(first.add(channel), "frames") };
+        let [count, ..] = inputs(0)?.shape();
+        for channel in 0..channels {
+            let taken = inputs(channel).and_then(|frames| self.take(channel, &frames, count));
+            if wanted == 1 {
+                taken?;
+            } else {
+                taken.map_err(|error| error.of_channel(self.session.channels()[channel].name()))?;
+            }
+        }
+        Ok(count)
+    }
+
+    /// Copies `count` frames of a channel into those of the session.
+    fn take(&mut self, channel: usize, frames: &Input, count: usize) -> Result<()> {
+        self.session.fitters().get(channel)?;
+        let calibration = &self.calibrations[channel];
+        let (rows, cols) = calibration.shape();
         frames.must_be([count, rows, cols])?;
         if count > self.session.capacity() {
             let capacity = self.session.capacity();
             return Err(Error::Shape(format!("frames has {count} frames: 1 to {capacity} are accepted, the capacity")));
         }
-        for k in 0..count {
-            copy_frame(frames, k, &self.calibration, self.session.frame_mut(k)?);
+        for group in 0..count {
+            let (mut data_e, mut bad) = self.session.frame_mut(group, channel)?;
+            frames.each(group, |y, x, raw| {
+                let electrons = calibration.electrons(y, x, raw);
+                data_e[[y, x]] = electrons.unwrap_or(0.0);
+                bad[[y, x]] = electrons.is_none();
+            });
         }
-        Ok(count)
+        Ok(())
     }
 
     fn modes(&self) -> usize {
-        self.session.estimator().model().optics.modes()
+        self.session.fitters().first().model().optics.modes()
     }
 }
 
-/// Copies frame `k` of a caller's, calibrated, into buffers of a session.
-pub(super) fn copy_frame(
-    frames: &Input,
-    k: usize,
-    calibration: &Calibration,
-    (mut data_e, mut bad): (ArrayViewMut2<f64>, ArrayViewMut2<bool>),
-) {
-    frames.each(k, |y, x, raw| {
-        let electrons = calibration.electrons(y, x, raw);
-        data_e[[y, x]] = electrons.unwrap_or(0.0);
-        bad[[y, x]] = electrons.is_none();
-    });
-}
-
 /// The calibration of frames of a model before any is set: electrons, or counts where the scene has a gain.
-pub(super) fn electrons_of(estimator: &ModalFitter) -> Result<Calibration> {
+fn electrons_of(estimator: &ModalFitter) -> Result<Calibration> {
     let [x, y] = estimator.model().preparation.frame;
     let gain = estimator.scene().image.gain_e_per_adu.unwrap_or(1.0);
     Calibration::new((y, x), CameraMaps::default(), gain, f64::INFINITY)
@@ -195,10 +213,7 @@ pub(super) fn electrons_of(estimator: &ModalFitter) -> Result<Calibration> {
 ///
 /// # Errors
 /// [`Error::Value`] for bad pixels that a reduction of the sampling would smear.
-pub(super) unsafe fn calibration_for(
-    estimator: &ModalFitter,
-    calibration: *const cophase_calibration,
-) -> Result<Calibration> {
+unsafe fn calibration_for(estimator: &ModalFitter, calibration: *const cophase_calibration) -> Result<Calibration> {
     let preparation = &estimator.model().preparation;
     let [x, y] = preparation.frame;
     let made = unsafe { self::calibration(calibration, (y, x), estimator.scene().image.gain_e_per_adu) }?;
@@ -234,7 +249,8 @@ pub(super) unsafe fn look<R>(session: *const cophase_session, body: impl FnOnce(
 /// options: NULL for the defaults. session: receives the handle.
 ///
 /// COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option out of range, and for a
-/// scene with estimate.optimizer = "bfgs".
+/// scene with estimate.optimizer = "bfgs". COPHASE_BAD_SCENE for several channels of which one is in focus, which an estimator
+/// takes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_create(
     model: *const cophase_model,
@@ -245,11 +261,9 @@ pub unsafe extern "C" fn cophase_session_create(
         let out = place(session, "session")?;
         start_threads()?;
         let options = unsafe { session_options(&sized::read(options, "options")?) }?;
-        let estimator = unsafe { estimator(model) }?;
-        let calibration = electrons_of(&estimator)?;
-        let session = Session::new(estimator, &options)?;
+        let session = Session::new(unsafe { fitters(model) }?, &options)?;
         let cancel = session.cancel_flag();
-        let handle = Handle::new::<cophase_session>(Working { session, calibration }, cancel);
+        let handle = Handle::new::<cophase_session>(Working::new(session)?, cancel);
         unsafe { out.write(Box::into_raw(Box::new(cophase_session(handle)))) };
         Ok(())
     })
@@ -261,19 +275,21 @@ pub unsafe extern "C" fn cophase_session_destroy(session: *mut cophase_session) 
     unsafe { give_back(session) }
 }
 
-/// Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, or counts where the
-/// scene has image.gain_e_per_adu, as before the first call.
+/// Sets the calibration of later frames of a channel; the maps are copied. channel: its number in the model, from 0. calibration: NULL
+/// where frames are electrons, or counts where the scene has image.gain_e_per_adu, as before the first call.
 ///
-/// COPHASE_BAD_VALUE for bad pixels if the model reduces the sampling of frames, which would smear them: such a camera
-/// needs estimate.sampling = "native" in its scene.
+/// COPHASE_BAD_VALUE for a channel that the model does not have, and for bad pixels if the model reduces the sampling of frames, which
+/// would smear them: such a camera needs estimate.sampling = "native" in its scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_calibrate(
     session: *mut cophase_session,
+    channel: usize,
     calibration: *const cophase_calibration,
 ) -> cophase_status {
     unsafe {
         change(session, |working| {
-            working.calibration = calibration_for(working.session.estimator(), calibration)?;
+            let (_, fitter) = working.session.fitters().get(channel)?;
+            working.calibrations[channel] = calibration_for(fitter, calibration)?;
             Ok(())
         })
     }
@@ -292,15 +308,22 @@ pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session)
     }
 }
 
-/// Fits the model to frames. [RT]
+/// Fits the model to frames, one channel after the other, and combines the fits of several channels. [RT]
 ///
-/// frames: count x rows x cols, count up to the session's capacity. Values that are not finite are bad pixels. The optical
-///   axis is on row rows/2 and column cols/2.
-/// options: NULL for the defaults.
-/// coefficients_nm: receives count x modes numbers in C order; NaN for an unusable image.
+/// frames: an array for each channel, in the order of the model, each count x rows x cols of its channel, count up to the session's
+///   capacity: frames k of all channels are group k. Values that are not finite are bad pixels. The optical axis is on row rows/2 and
+///   column cols/2.
+/// channels: number of channels of the model.
+/// options: NULL for the defaults. The deadline holds for all frames together.
+/// coefficients_nm: receives count x modes numbers in C order: of one channel those of each image, NaN for an unusable one; of several
+///   the modes that they have in common, NaN unless the fits of all channels of the group converged.
+/// sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels; NULL if they are not wanted. The channels
+///   are weighed, and error bars are, as at a flat wavefront with the flux and the noise of the frames, scaled by chi-square where a model
+///   misfits or the channels contradict each other. NaN for one channel, whose covariance cophase_session_refine has.
 /// modes: the model's number of modes.
-/// reports: receives count reports of report_size bytes each; NULL if they are not wanted. report_size:
+/// images: receives count x channels reports in C order, of image_size bytes each; NULL if they are not wanted. image_size:
 ///   sizeof(cophase_image_report).
+/// groups: receives count reports of group_size bytes each; NULL if they are not wanted. group_size: sizeof(cophase_group_report).
 ///
 /// The call succeeds where single images fail: their status is in their reports. COPHASE_INTERRUPTED after
 /// cophase_session_cancel; nothing is written then.
@@ -308,26 +331,41 @@ pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session)
 pub unsafe extern "C" fn cophase_session_fit(
     session: *mut cophase_session,
     frames: *const cophase_input,
+    channels: usize,
     options: *const cophase_fit_options,
     coefficients_nm: *mut f64,
+    sigma_nm: *mut f64,
     modes: usize,
-    reports: *mut cophase_image_report,
-    report_size: usize,
+    images: *mut cophase_image_report,
+    image_size: usize,
+    groups: *mut cophase_group_report,
+    group_size: usize,
 ) -> cophase_status {
     unsafe {
         change(session, |working| {
             check_modes(modes, working.modes())?;
-            let frames = Input::new(frames, "frames")?;
-            let reports = Outputs::new(reports, report_size, ("reports", "report_size"))?;
+            let images = Outputs::new(images, image_size, ("images", "image_size"))?;
+            let groups = Outputs::new(groups, group_size, ("groups", "group_size"))?;
             place(coefficients_nm, "coefficients_nm")?;
+            if !sigma_nm.is_null() {
+                place(sigma_nm, "sigma_nm")?;
+            }
             let options = sized::read(options, "options")?;
-            let count = working.take(&frames)?;
+            let count = working.take_all(frames, channels)?;
             working.session.fit(count, &fit_options(&options, count, modes)?)?;
-            let out = numbers_mut(coefficients_nm, count * modes, "coefficients_nm")?;
-            let found = working.session.results().iter().zip(out.chunks_exact_mut(modes));
-            for (image, (result, out)) in found.enumerate() {
-                out.copy_from_slice(&result.coefficients_nm);
-                reports.put(image, &cophase_image_report::from_session(result));
+            for (group, result) in working.session.results().iter().enumerate() {
+                let at = group * modes;
+                numbers_mut(coefficients_nm.add(at), modes, "coefficients_nm")?
+                    .copy_from_slice(&result.coefficients_nm);
+                if !sigma_nm.is_null() {
+                    numbers_mut(sigma_nm.add(at), modes, "sigma_nm")?.copy_from_slice(&result.sigma_nm);
+                }
+                groups.put(group, &result.into());
+                let is_used = channels > 1 && result.coefficients_nm.iter().all(|nm| nm.is_finite());
+                for (channel, fits) in working.session.channels().iter().enumerate() {
+                    let report = cophase_image_report::from_session(&fits.results()[group], channel, is_used);
+                    images.put(group * channels + channel, &report);
+                }
             }
             Ok(())
         })
@@ -337,7 +375,8 @@ pub unsafe extern "C" fn cophase_session_fit(
 /// Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF + background - data)^2 over the
 /// pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
 ///
-/// frames: as in cophase_session_fit; NULL for those of the last evaluation, if no fit came since.
+/// channel: number of the channel in the model, from 0, whose images they are.
+/// frames: count x rows x cols of the channel; NULL for those of its last evaluation, if no fit came since.
 /// options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the defaults.
 /// coefficients_nm: count x modes numbers in C order. count: number of frames.
 /// objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
@@ -346,6 +385,7 @@ pub unsafe extern "C" fn cophase_session_fit(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_evaluate(
     session: *mut cophase_session,
+    channel: usize,
     frames: *const cophase_input,
     options: *const cophase_fit_options,
     coefficients_nm: *const f64,
@@ -370,35 +410,52 @@ pub unsafe extern "C" fn cophase_session_evaluate(
                 let frames = Input::new(frames, "frames")?;
                 let options: cophase_fit_options = sized::read(options, "options")?;
                 let read_noise_e = read_noise_e(options.read_noise_e, options.has_read_noise)?;
-                let [given, rows, cols] = frames.shape();
-                if given != count {
-                    frames.must_be([count, rows, cols])?;
-                }
-                let count = working.take(&frames)?;
-                working.session.load(count, read_noise_e)?;
+                working.take(channel, &frames, count)?;
+                working.session.load(channel, count, read_noise_e)?;
             }
-            working.session.evaluate(points, objectives, gradients)
+            working.session.evaluate(channel, points, objectives, gradients)
         })
     }
 }
 
-/// Covariance of the coefficients of one image of the last fit, nm^2, from its noise, scaled by its chi-square where the
-/// model misfits. Takes as long as some hundred evaluations.
+/// The result of a group of the last fit with its covariance, in some hundred evaluations of each channel: of one channel that of the
+/// noise, scaled by chi-square where the model misfits. The fits of several channels are combined by their information at the fitted
+/// wavefronts, and the whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate_channels finds in
+/// these frames by the policy COPHASE_POLICY_REALTIME.
 ///
-/// covariance_nm2: receives modes x modes numbers. COPHASE_BAD_VALUE for an image that was not fitted.
+/// group: number of the group in the last fit, from 0.
+/// coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each may be NULL. modes: the model's
+///   number of modes.
+/// report: NULL if it is not wanted. report_size: sizeof(cophase_group_report).
+///
+/// COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels converged.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_session_covariance_nm2(
+pub unsafe extern "C" fn cophase_session_refine(
     session: *const cophase_session,
-    image: usize,
+    group: usize,
+    coefficients_nm: *mut f64,
     covariance_nm2: *mut f64,
     modes: usize,
+    report: *mut cophase_group_report,
+    report_size: usize,
 ) -> cophase_status {
     unsafe {
         read(session, |working| {
             check_modes(modes, working.modes())?;
-            let out = numbers_mut(covariance_nm2, modes * modes, "covariance_nm2")?;
-            let covariance_nm2 = working.session.covariance_nm2(image)?;
-            out.iter_mut().zip(&covariance_nm2).for_each(|(out, value)| *out = *value);
+            let report = Outputs::new(report, report_size, ("report", "report_size"))?;
+            let outputs = [(coefficients_nm, "coefficients_nm"), (covariance_nm2, "covariance_nm2")];
+            // All are checked before the first is written.
+            for (out, name) in outputs.into_iter().filter(|(out, _)| !out.is_null()) {
+                place(out, name)?;
+            }
+            let refined = working.session.refine(group)?;
+            let covariance_nm2 = refined.covariance_nm2.iter().copied().collect();
+            let values: [Vec<f64>; 2] = [refined.coefficients_nm.clone(), covariance_nm2];
+            for ((out, name), values) in outputs.into_iter().zip(values).filter(|((out, _), _)| !out.is_null()) {
+                numbers_mut(out, values.len(), name)?.copy_from_slice(&values);
+            }
+            let status = &working.session.results()[group].status;
+            report.put(0, &cophase_group_report::of_refined(&refined, status));
             Ok(())
         })
     }
@@ -406,8 +463,9 @@ pub unsafe extern "C" fn cophase_session_covariance_nm2(
 
 /// Writes a text of a session.
 ///
-/// what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the
-/// last fit; ignored for the other texts. text, capacity, length: as in cophase_device_list.
+/// what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, with that of channels that contradict each other in the last fit,
+///   COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the last fit, group * channels + channel; ignored for the other
+///   texts. text, capacity, length: as in cophase_device_list.
 ///
 /// COPHASE_BAD_VALUE for an image that was not in the last fit.
 #[unsafe(no_mangle)]
@@ -423,9 +481,14 @@ pub unsafe extern "C" fn cophase_session_text(
         read(session, |working| {
             let session = &working.session;
             let sentence = match what {
-                COPHASE_TEXT_IMAGE_MESSAGE => at(session.results(), index, "images of the last fit")?.report.sentence(),
+                COPHASE_TEXT_IMAGE_MESSAGE => {
+                    let channels = session.channels().len();
+                    let images: Vec<_> = session.channels().iter().map(|channel| channel.results()).collect();
+                    check_index(index, channels * session.results().len(), "images of the last fit")?;
+                    images[index % channels][index / channels].report.sentence()
+                }
                 COPHASE_TEXT_WARNINGS => session.warnings().join("\n"),
-                COPHASE_TEXT_DEVICE => session.device_name(),
+                COPHASE_TEXT_DEVICE => session.device_name().into(),
                 COPHASE_TEXT_POLICY => session.policy().name().into(),
                 other => {
                     let known = "IMAGE_MESSAGE, WARNINGS, DEVICE or POLICY of the COPHASE_TEXT_ numbers is accepted";

@@ -35,7 +35,7 @@ pub const COPHASE_ARRAY_TRUTH_NM: i32 = 105;
 pub struct cophase_simulator(Handle<Stepper>);
 
 impl Object for cophase_simulator {
-    const KIND: u64 = 6;
+    const KIND: u64 = 5;
 }
 
 /// Sizes and state of a simulator.

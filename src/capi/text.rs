@@ -43,7 +43,15 @@ pub const COPHASE_TEXT_CORRECTION_WARNINGS: i32 = 16;
 /// # Errors
 /// [`Error::Value`] where there is none.
 pub(super) fn at<'a, T>(all: &'a [T], index: usize, noun: &str) -> Result<&'a T> {
-    let count = all.len();
-    all.get(index)
-        .ok_or_else(|| Error::Value(format!("index is {index}: less than {count} is accepted, the number of {noun}")))
+    check_index(index, all.len(), noun)?;
+    Ok(&all[index])
+}
+
+/// # Errors
+/// [`Error::Value`] for an index that `count` elements do not have.
+pub(super) fn check_index(index: usize, count: usize, noun: &str) -> Result<()> {
+    if index >= count {
+        return Err(Error::Value(format!("index is {index}: less than {count} is accepted, the number of {noun}")));
+    }
+    Ok(())
 }

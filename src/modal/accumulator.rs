@@ -78,15 +78,21 @@ impl Accumulator {
     /// Adds all images of the session's last fit; they replace the oldest ones. Allocates nothing.
     ///
     /// # Errors
-    /// [`Error::Value`] for a session of another model.
+    /// [`Error::Value`] for a session of another model, and of several channels.
     pub fn push(&mut self, session: &Session) -> Result<()> {
-        if !Arc::ptr_eq(&self.estimator, session.estimator()) {
+        let [channel] = session.channels() else {
+            return Err(Error::Value(format!(
+                "the session has {} channels: one of one channel is accepted, whose images a sequence combines",
+                session.channels().len()
+            )));
+        };
+        if !Arc::ptr_eq(&self.estimator, channel.estimator()) {
             return Err(Error::Value(
                 "the session is of another model: one of the sequence's model is accepted".into(),
             ));
         }
         let capacity = self.coefficients_nm.nrows();
-        for result in session.results() {
+        for result in channel.results() {
             let place = (self.pushed % capacity as u64) as usize;
             self.coefficients_nm.row_mut(place).assign(&ArrayView1::from(&result.coefficients_nm));
             match self.reports.get_mut(place) {

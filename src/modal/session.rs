@@ -1,392 +1,294 @@
-//! Session: modal fits in real time, with all memory allocated when it is created. Frames are fitted as
-//! [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no search for outliers in frames that are reduced, no restarts.
+//! Session: fits in real time of the images of wavefronts, with all memory allocated when it is created. The images of one wavefront
+//! are a *group*: one frame of each channel of the scene, which is one image where the scene has one channel.
+//!
+//! Frames are fitted as [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no search for outliers in frames that
+//! are reduced, no restarts. The fits of several channels are combined as in `joint.rs`, with the information of each channel taken at
+//! the flat wavefront, at the flux and the noise of its frame, where `joint.rs` computes it at the fitted wavefront in some hundred
+//! evaluations: [`Session::refine`] does so. Weights that are off by a few per cent leave the estimate without bias, and change it by
+//! as many per cent of its error bar.
 
+mod channel;
+mod combiner;
 mod options;
 #[cfg(all(test, feature = "opencl", debug_assertions))]
 mod tests;
 
-pub use options::{FitOptions, ImageResult, SessionOptions};
+pub use channel::SessionChannel;
+pub use options::{FitOptions, GroupResult, ImageResult, RefinedGroup, SessionOptions};
 
-use super::combine::{FittedImage, fitted_image};
-use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
-use super::fitter::ModalFitter;
-use super::global_motions::GlobalMotions;
-use super::pistons;
-use super::prepare::{Frame, PreparedFrame, Preparer, Refusal, Ringing};
-use super::recipe::Recipe;
-use super::residual::variance;
-use super::spread::Spread;
-use super::status::{Status, assess, unfitted_report};
-use super::tilts::Tilts;
-use crate::imaging::Chain;
-use crate::optimize::{CancelFlag, StopReason};
-use crate::scene::Optimizer;
+use super::channel_fitters::ChannelFitters;
+use super::combine::combine;
+use super::diversity_error::has_diversity;
+use super::joint::{contradict, joint};
+use super::status::worst;
+use crate::optimize::CancelFlag;
+use crate::scene::Weighting;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2};
-use options::write_start;
+use combiner::{Combiner, FittedChannel};
+use ndarray::{ArrayView2, ArrayViewMut2};
+use options::check_read_noise;
 use std::slice::from_ref;
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// A workspace for fits with one model: frames are written into it ([`Session::frame_mut`]), fitted, and their results
-/// read. It is one thread's at a time.
+/// A workspace for fits with the models of the channels of a scene: frames are written into it ([`Session::frame_mut`]), fitted, and
+/// their results read. It is one thread's at a time.
 ///
 /// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit of the scene's modes, no modes with a
-/// prior, no restarts; pixels that the model does not explain are rejected in the fit. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
-/// [`SessionOptions`] leave them open.
+/// prior, no restarts; pixels that the model does not explain are rejected in the fit. Device and precision are the scene's
+/// (`estimate.device`, `estimate.precision`) where [`SessionOptions`] leave them open.
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
 /// memory, take no lock and format no text, except for an error message. A fit depends on its own image alone: it is that of
-/// [`ModalFitter::estimate`] to the last bit, for any number of images and threads.
+/// [`ModalFitter::estimate`](super::ModalFitter::estimate) to the last bit, for any number of images, channels and threads.
+///
+/// In several wavelengths pistons are taken within half a wavelength of the start; where that is wrong, the channels contradict each
+/// other, and [`Session::refine`] finds the whole wavelengths.
 pub struct Session {
-    shared: Shared,
-    frames: Vec<FrameBuffer>,
-    fits: Vec<ImageFit>,
-    results: Vec<ImageResult>,
-    engine: Box<dyn Engine>,
-    device: String,
-    /// Number of images of the last fit, and of those loaded for [`Session::evaluate`].
-    fitted: usize,
-    loaded: usize,
-}
-
-/// Data that all images of a session share.
-struct Shared {
-    estimator: Arc<ModalFitter>,
-    /// Recipe of the fitter, with the session's own limits.
-    recipe: Recipe,
-    tilts: Tilts,
-    motions: GlobalMotions,
+    fitters: ChannelFitters,
+    channels: Vec<SessionChannel>,
+    /// What combines the fits of several channels.
+    combiner: Option<Combiner>,
     cancel: CancelFlag,
-}
-
-/// Memory of a frame.
-struct FrameBuffer {
-    data_e: Array2<f64>,
-    bad: Array2<bool>,
+    results: Vec<GroupResult>,
+    /// Number of groups of the last fit.
+    fitted: usize,
 }
 
 impl Session {
-    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a second for a large model).
+    /// Allocates all memory, and computes the metrics of the fitters where they have none yet (about a second for a large model).
     ///
     /// # Errors
-    /// [`Error::Value`] for options out of range and for an estimator whose recipe is the paper's BFGS, which cannot be
-    /// stopped and resumed; [`Error::Device`] where the device cannot run the model.
-    pub fn new(estimator: Arc<ModalFitter>, options: &SessionOptions) -> Result<Self> {
-        Self::with_cancel_flag(estimator, options, CancelFlag::default())
-    }
-
-    /// [`Session::new`] with a flag that other sessions have, too.
-    pub(super) fn with_cancel_flag(
-        estimator: Arc<ModalFitter>,
-        options: &SessionOptions,
-        cancel: CancelFlag,
-    ) -> Result<Self> {
+    /// [`Error::Value`] for options out of range and for a recipe with the paper's BFGS, which cannot be stopped and resumed;
+    /// [`Error::Device`] where the device cannot run the model; [`Error::Scene`] for several channels of which one is in focus, that are
+    /// not weighted by their noise, or whose modes do not span an error of the diversity.
+    pub fn new(fitters: impl Into<ChannelFitters>, options: &SessionOptions) -> Result<Self> {
+        let fitters = fitters.into();
         options.check()?;
-        FrameBuffer::check_capacity(&estimator, options.capacity)?;
-        let mut recipe = estimator.recipe.clone();
-        if recipe.optimizer == Optimizer::Bfgs {
-            return Err(Error::Value(
-                "a session cannot use estimate.optimizer = \"bfgs\", which allocates as it goes: \"gauss-newton\" and \
-                 \"paper\" are accepted"
-                    .into(),
-            ));
+        let is_joint = fitters.len() > 1;
+        if is_joint {
+            check_combination(&fitters)?;
         }
-        recipe.max_evaluations = options.max_evaluations.unwrap_or(recipe.max_evaluations);
-        recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
-        estimator.metrics.make_all(&estimator.reference)?;
-        let (tilts, motions) = (Tilts::new(&estimator.model)?, GlobalMotions::new(&estimator.model)?);
-        let shared = Shared { estimator, recipe, tilts, motions, cancel };
-        let optics = shared.estimator.model.optics.clone();
-        let scene = &shared.estimator.scene.estimate;
-        let precision = options.precision.unwrap_or(scene.precision.into());
-        let device = options.device.unwrap_or(scene.device.into());
-        let chain = Chain::open(optics, device, precision, options.capacity)?;
-        let device = chain.device_name();
-        let engine = shared.engine(chain, options)?;
-        let (preparation, modes) = (shared.estimator.model.preparation, shared.modes());
-        let frames = (0..options.capacity).map(|_| FrameBuffer::new(&preparation)).collect();
-        let fits = vec![ImageFit::new(&preparation, modes); options.capacity];
-        let result = ImageResult {
-            coefficients_nm: vec![f64::NAN; modes],
-            report: unfitted_report(Status::NotConverged(StopReason::Unfinished)),
-            seconds: 0.0,
-        };
-        let results = vec![result; options.capacity];
-        Ok(Self { shared, frames, fits, results, engine, device, fitted: 0, loaded: 0 })
+        let cancel = CancelFlag::default();
+        let channels = fitters
+            .iter()
+            .map(|(name, fitter)| SessionChannel::new(name, fitter.clone(), options, cancel.clone()))
+            .collect::<Result<Vec<_>>>()?;
+        let combiner = is_joint.then(|| Combiner::new(&fitters)).transpose()?;
+        let results = vec![GroupResult::new(fitters.first().model.optics.modes()); options.capacity];
+        Ok(Self { fitters, channels, combiner, cancel, results, fitted: 0 })
     }
 
-    /// The estimator whose model is fitted.
-    pub fn estimator(&self) -> &Arc<ModalFitter> {
-        &self.shared.estimator
+    /// The fitters of the channels.
+    pub fn fitters(&self) -> &ChannelFitters {
+        &self.fitters
     }
 
-    /// Warning that the device that `auto` selected was lost and the CPU replaces it.
-    pub fn device_failure(&self) -> Option<&str> {
-        self.engine.failure()
+    /// The channels, with the fits of their images.
+    pub fn channels(&self) -> &[SessionChannel] {
+        &self.channels
     }
 
     /// Where it runs: `cpu`, or the address and the name of a device.
-    pub fn device_name(&self) -> String {
-        self.device.clone()
+    pub fn device_name(&self) -> &str {
+        self.channels[0].device_name()
     }
 
-    /// Most images of a call.
+    /// Most groups of a call.
     pub fn capacity(&self) -> usize {
-        self.frames.len()
+        self.results.len()
     }
 
-    /// Buffers of frame `image`, `[y, x]`: electrons and bad pixels, which the caller writes before a fit. A fit does not change
-    /// them.
+    /// Buffers of the frame of a group in a channel, `[y, x]`: electrons and bad pixels, which the caller writes before a fit. A fit
+    /// does not change them.
     ///
     /// # Errors
-    /// [`Error::Shape`] beyond the capacity.
-    pub fn frame_mut(&mut self, image: usize) -> Result<(ArrayViewMut2<'_, f64>, ArrayViewMut2<'_, bool>)> {
-        let capacity = self.frames.len();
-        let frame = self.frames.get_mut(image).ok_or_else(|| {
+    /// [`Error::Shape`] beyond the capacity, [`Error::Value`] for a channel that does not exist.
+    pub fn frame_mut(
+        &mut self,
+        group: usize,
+        channel: usize,
+    ) -> Result<(ArrayViewMut2<'_, f64>, ArrayViewMut2<'_, bool>)> {
+        let capacity = self.capacity();
+        self.channel_mut(channel)?.frame_mut(group).ok_or_else(|| {
             Error::Shape(format!(
-                "frame {image} does not exist: the session has a capacity of {capacity} images, numbered from 0"
+                "frame {group} does not exist: the session has a capacity of {capacity}, numbered from 0"
             ))
-        })?;
-        Ok((frame.data_e.view_mut(), frame.bad.view_mut()))
+        })
     }
 
-    /// Fits frames 0 to `count` − 1. An image that cannot be fitted has its status in its result.
+    /// Fits the frames of groups 0 to `count` − 1, one channel after the other, and combines the fits of several channels. A start of
+    /// `options` is that of all channels; the deadline holds for all fits together. A frame that cannot be fitted has its status in its
+    /// result.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where the cancel flag was raised, which leaves no results; [`Error::Shape`] for more frames
+    /// [`Error::Interrupted`] where the cancel flag was raised, which leaves no results; [`Error::Shape`] for more groups
     /// than the capacity or a start of another shape, [`Error::Value`] for an option out of range, [`Error::Device`]
     /// where a device fails.
     pub fn fit(&mut self, count: usize, options: &FitOptions) -> Result<()> {
         let began = Instant::now();
-        (self.fitted, self.loaded) = (0, 0);
+        self.discard_results();
         self.check_count(count)?;
-        self.check_start(count, options.start_nm)?;
-        let read_noise_e = self.read_noise_e(options.read_noise_e)?;
+        options.check(count, self.modes())?;
         // A deadline that the clock cannot represent is no deadline.
         let deadline = options.deadline.and_then(|time| began.checked_add(time));
-        for (image, fit) in self.fits[..count].iter_mut().enumerate() {
-            write_start(&mut fit.start_nm, options.start_nm.as_ref().map(|start_nm| start_nm.row(image)));
+        for channel in &mut self.channels {
+            let fitted = channel.fit(count, options.start_nm, options.read_noise_e, deadline);
+            if let Err(error) = fitted {
+                self.discard_results();
+                return Err(error);
+            }
         }
-        let task = self.shared.task(deadline);
-        let prepare = prepare(&self.frames, &self.shared.recipe, read_noise_e);
-        let outcome = self.engine.fit(&task, &prepare, &mut self.fits[..count], &mut |_, _| {});
-        if let Err(Error::Interrupted(_)) = outcome {
-            self.shared.cancel.store(false, Ordering::Relaxed);
-            return Err(interrupted());
-        }
-        outcome?;
-        for (fit, result) in self.fits[..count].iter_mut().zip(&mut self.results) {
-            self.shared.report(fit, result);
+        for group in 0..count {
+            self.combine(group);
         }
         self.fitted = count;
         Ok(())
     }
 
-    /// The results of the last fit, one per image; none after a fit that failed.
-    pub fn results(&self) -> &[ImageResult] {
+    /// The result of each group of the last fit; none after a fit that failed.
+    pub fn results(&self) -> &[GroupResult] {
         &self.results[..self.fitted]
     }
 
-    /// The fits of the last call, one per image; none after a fit that failed.
-    pub(super) fn fits(&self) -> &[ImageFit] {
-        &self.fits[..self.fitted]
-    }
-
-    /// Covariance of the coefficients of an image of the last fit, nm², `[mode, mode]`, pistons about their mean; scaled
-    /// by χ² where the model misfits.
+    /// The result of a group of the last fit with its covariance: in one channel that of the noise at the fitted wavefront, scaled by χ²
+    /// where the model misfits. The fits of several channels are combined by the information at their wavefronts, and the whole
+    /// wavelengths of pistons found: the estimate of [`Estimator`](crate::pipeline::Estimator) by the policy realtime from the same frames.
+    /// It allocates, and takes some hundred evaluations of each channel.
     ///
     /// # Errors
-    /// [`Error::Value`] for an image that was not fitted, or that no mode changes.
-    pub fn covariance_nm2(&self, image: usize) -> Result<Array2<f64>> {
-        let fitted = self.results().get(image).zip(self.fits.get(image)).filter(|(_, fit)| fit.is_fitted());
-        let Some((result, ImageFit { prepared, minimum, .. })) = fitted else {
+    /// [`Error::Value`] for a group that was not fitted or that no mode changes, and unless the fits of several channels converged.
+    pub fn refine(&self, group: usize) -> Result<RefinedGroup> {
+        if self.combiner.is_none() {
+            let channel = &self.channels[0];
+            let covariance_nm2 = channel.covariance_nm2(group)?;
+            let coefficients_nm = channel.results()[group].coefficients_nm.clone();
+            return Ok(RefinedGroup::of_one(coefficients_nm, covariance_nm2));
+        }
+        if !self.results().get(group).is_some_and(|result| result.status.has_converged()) {
             return Err(Error::Value(format!(
-                "image {image} has no covariance: the last fit was of {} images, and did not fit this one",
+                "group {group} has no joint result, which needs fits of all channels that converged; the last fit was of {} groups: fit \
+                 them first",
                 self.fitted
             )));
-        };
-        let estimator = &self.shared.estimator;
-        let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
-        let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-        let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
-        Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
-    }
-
-    /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It evaluates the model once more.
-    pub fn fitted_image(&self, image: usize) -> Option<FittedImage> {
-        let fit = self.fits().get(image).filter(|fit| fit.is_fitted())?;
-        Some(fitted_image(&self.shared.estimator, &fit.minimum, &fit.prepared))
+        }
+        let found = self.channels.iter().map(|channel| {
+            let fit = &channel.fits()[group];
+            let found =
+                combine(channel.estimator(), vec![None], &[0], from_ref(&fit.prepared), vec![fit.minimum.clone()]);
+            found.map_err(|error| error.of_channel(channel.name()))
+        });
+        let found = found.collect::<Result<Vec<_>>>()?;
+        let each: Vec<_> =
+            self.channels.iter().zip(&found).map(|(channel, found)| (&**channel.estimator(), found)).collect();
+        let joint = joint(self.fitters.scene(), &each)?;
+        Ok(RefinedGroup {
+            disagreement: joint.disagreement,
+            is_contradictory: joint.is_contradictory(),
+            coefficients_nm: joint.combined.coefficients_nm,
+            covariance_nm2: joint.combined.covariance_nm2,
+            integers: joint.integers,
+        })
     }
 
     /// The flag that cancels the running fit, or else the next: another thread raises it, and the fit that returns
     /// [`Error::Interrupted`] lowers it.
     pub fn cancel_flag(&self) -> CancelFlag {
-        self.shared.cancel.clone()
+        self.cancel.clone()
     }
 
-    /// Prepares frames 0 to `count` − 1 for [`Session::evaluate`], weighted by the noise of their own pixels.
+    /// Prepares the frames of a channel in groups 0 to `count` − 1 for [`Session::evaluate`], weighted by the noise of their own pixels.
     ///
     /// # Errors
-    /// [`Error::Image`] for the first that cannot be used, [`Error::Shape`] for more than the capacity,
-    /// [`Error::Value`] for a read noise out of range, [`Error::Device`] where a device fails.
-    pub fn load(&mut self, count: usize, read_noise_e: Option<f64>) -> Result<()> {
-        (self.fitted, self.loaded) = (0, 0);
+    /// [`Error::Image`] for the first that cannot be used, [`Error::Shape`] for more than the capacity, [`Error::Value`] for a channel that
+    /// does not exist or a read noise out of range, [`Error::Device`] where a device fails.
+    pub fn load(&mut self, channel: usize, count: usize, read_noise_e: Option<f64>) -> Result<()> {
+        self.discard_results();
         self.check_count(count)?;
-        let read_noise_e = self.read_noise_e(read_noise_e)?;
-        let task = self.shared.task(None);
-        let prepare = prepare(&self.frames, &self.shared.recipe, read_noise_e);
-        self.engine.load(&task, &prepare, &mut self.fits[..count])?;
-        self.loaded = count;
-        Ok(())
+        check_read_noise(read_noise_e)?;
+        self.channel_mut(channel)?.load(count, read_noise_e)
     }
 
-    /// Objectives of the loaded images at `coefficients_nm` (`[image, mode]`, nm; fewer images than are loaded are the
+    /// Objectives of the loaded images of a channel at `coefficients_nm` (`[image, mode]`, nm; fewer images than are loaded are the
     /// first ones), and their gradients per nm, image by image.
     ///
     /// # Errors
     /// [`Error::Shape`] where the arrays do not fit each other, the model or what is loaded; [`Error::Value`] where
-    /// nothing is; [`Error::Device`] where a device fails.
+    /// nothing is, and for a channel that does not exist; [`Error::Device`] where a device fails.
     pub fn evaluate(
         &mut self,
+        channel: usize,
         coefficients_nm: ArrayView2<f64>,
         objectives: &mut [f64],
         gradients: &mut [f64],
     ) -> Result<()> {
-        let (count, modes) = (coefficients_nm.nrows(), self.shared.modes());
-        if coefficients_nm.ncols() != modes || objectives.len() != count || gradients.len() != count * modes {
-            let (columns, objectives, gradients) = (coefficients_nm.ncols(), objectives.len(), gradients.len());
-            return Err(Error::Shape(format!(
-                "{count}x{columns} coefficients, {objectives} objectives and {gradients} gradients were given, where \
-                 {count}x{modes}, {count} and {} are needed",
-                count * modes
-            )));
-        }
-        if self.loaded == 0 {
-            return Err(Error::Value("no image is loaded: load what is to be evaluated first".into()));
-        }
-        if count > self.loaded {
-            let loaded = self.loaded;
-            return Err(Error::Shape(format!("{count} images were to be evaluated, where {loaded} are loaded")));
-        }
-        self.engine.evaluate(coefficients_nm, objectives, gradients)
+        self.channel_mut(channel)?.evaluate(coefficients_nm, objectives, gradients)
+    }
+
+    fn modes(&self) -> usize {
+        self.fitters.first().model.optics.modes()
+    }
+
+    fn channel_mut(&mut self, channel: usize) -> Result<&mut SessionChannel> {
+        self.fitters.get(channel)?;
+        Ok(&mut self.channels[channel])
     }
 
     fn check_count(&self, count: usize) -> Result<()> {
-        let capacity = self.frames.len();
+        let capacity = self.capacity();
         if count > capacity {
-            return Err(Error::Shape(format!("{count} images were given: the session accepts up to {capacity}")));
+            return Err(Error::Shape(format!("{count} groups were given: the session accepts up to {capacity}")));
         }
         Ok(())
     }
 
-    fn check_start(&self, count: usize, start_nm: Option<ArrayView2<f64>>) -> Result<()> {
-        let Some(start_nm) = start_nm else { return Ok(()) };
-        let (wanted, (rows, columns)) = (self.shared.modes(), start_nm.dim());
-        if (rows, columns) != (count, wanted) {
-            return Err(Error::Shape(format!(
-                "a start of {rows}x{columns} was given, where {count}x{wanted} is needed"
+    fn discard_results(&mut self) {
+        self.fitted = 0;
+        self.channels.iter_mut().for_each(SessionChannel::discard_results);
+    }
+
+    /// Writes the result of a group whose images were fitted.
+    fn combine(&mut self, group: usize) {
+        let (result, channels) = (&mut self.results[group], &self.channels);
+        let images = channels.iter().map(|channel| &channel.results()[group]);
+        result.seconds = images.clone().map(|image| image.seconds).sum();
+        result.status = *worst(images.map(|image| &image.report.status));
+        result.disagreement = (f64::NAN, 0.0);
+        match &mut self.combiner {
+            None => result.coefficients_nm.copy_from_slice(&channels[0].results()[group].coefficients_nm),
+            Some(combiner) if result.status.has_converged() => {
+                let fits = channels.iter().map(|channel| FittedChannel {
+                    fitter: channel.estimator(),
+                    fit: &channel.fits()[group],
+                    result: &channel.results()[group],
+                });
+                result.disagreement = combiner.combine(fits, &mut result.coefficients_nm, &mut result.sigma_nm);
+            }
+            Some(_) => {
+                result.coefficients_nm.fill(f64::NAN);
+                result.sigma_nm.fill(f64::NAN);
+            }
+        }
+        result.is_contradictory = contradict(result.disagreement);
+    }
+}
+
+/// Refuses channels whose fits cannot be combined in real time.
+fn check_combination(fitters: &ChannelFitters) -> Result<()> {
+    for (name, fitter) in fitters.iter() {
+        if fitter.recipe.weighting != Weighting::Noise {
+            return Err(Error::Scene(format!(
+                "{}: a session of several channels needs estimate.weighting = \"noise\", by which they are weighed against each other",
+                fitter.scene.name()
             )));
         }
-        match start_nm.indexed_iter().find(|(_, nm)| !nm.is_finite()) {
-            Some(((image, mode), nm)) => Err(Error::Value(format!(
-                "coefficient {mode} of the start of image {image} is {nm}, where a finite number is needed"
-            ))),
-            None => Ok(()),
-        }
-    }
-
-    fn read_noise_e(&self, given: Option<f64>) -> Result<Option<f64>> {
-        if let Some(read_noise_e) = given.filter(|read_noise_e| !(*read_noise_e >= 0.0 && read_noise_e.is_finite())) {
-            return Err(Error::Value(format!(
-                "a read noise of {read_noise_e} electrons was given, where a finite number of 0 or more is needed"
+        if !has_diversity(&fitter.scene.image) {
+            return Err(Error::Scene(format!(
+                "{}: the channel '{name}' is in focus, where an image does not determine the signs of even aberrations and a fit in real \
+                 time would end in one of many minima: leave it out, or give this scene to the full pipeline ('cophase estimate', \
+                 pipeline::Estimator, cophase_estimator_create)",
+                fitters.scene().name(),
             )));
         }
-        Ok(given.or(self.shared.estimator.scene.image.read_noise_e))
     }
-}
-
-impl Shared {
-    fn modes(&self) -> usize {
-        self.estimator.model.optics.modes()
-    }
-
-    fn task(&self, deadline: Option<Instant>) -> FitTask<'_> {
-        let ModalFitter { model, reference, metrics, .. } = &*self.estimator;
-        FitTask { model, reference, metrics, recipe: &self.recipe, cancel: Some(&self.cancel), deadline }
-    }
-
-    /// The engine for `chain`, with its memory.
-    fn engine(&self, chain: Chain, options: &SessionOptions) -> Result<Box<dyn Engine>> {
-        crate::machine::check_threads("threads", options.threads)?;
-        let threads = (options.threads > 0).then_some(options.threads);
-        Ok(match chain {
-            Chain::Cpu64(chain) => {
-                let mut engine = CpuEngine::new(chain, threads);
-                engine.allocate(&self.task(None), options.capacity)?;
-                Box::new(engine)
-            }
-            Chain::Cpu32(chain) => {
-                let mut engine = CpuEngine::new(chain, threads);
-                engine.allocate(&self.task(None), options.capacity)?;
-                Box::new(engine)
-            }
-            chain => Box::new(DeviceEngine::new(chain)),
-        })
-    }
-
-    /// Writes the outcome of a fit.
-    fn report(&self, fit: &mut ImageFit, result: &mut ImageResult) {
-        match fit.state {
-            FitState::Fitted => {
-                pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &fit.start_nm, &self.estimator.model);
-                self.motions.remove(&mut fit.minimum.coefficients_nm);
-                result.report = assess(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
-                result.coefficients_nm.copy_from_slice(&fit.minimum.coefficients_nm);
-            }
-            FitState::Refused(refusal) => result.refuse(refusal),
-            FitState::NotBegun => result.not_begun(&fit.start_nm),
-        }
-        result.seconds = fit.seconds;
-    }
-}
-
-/// Prepares the frames in the buffers; frames with bad pixels that a reduction would smear are refused.
-fn prepare<'a>(
-    frames: &'a [FrameBuffer],
-    recipe: &'a Recipe,
-    read_noise_e: Option<f64>,
-) -> impl Fn(usize, &mut Preparer, &mut PreparedFrame) -> std::result::Result<(), Refusal> + Sync + 'a {
-    move |index, preparer, prepared| {
-        let FrameBuffer { data_e, bad } = &frames[index];
-        let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e };
-        preparer.prepare(frame, recipe, Ringing::Refused, prepared)
-    }
-}
-
-impl FrameBuffer {
-    /// Refuses a capacity that memory cannot hold, before any is allocated.
-    fn check_capacity(estimator: &ModalFitter, capacity: usize) -> Result<()> {
-        let preparation = &estimator.model.preparation;
-        let [x, y] = preparation.frame;
-        // A frame with its mask, and at the model's sampling data, weights and floor.
-        let bytes = x * y * (size_of::<f64>() + size_of::<bool>()) + 3 * size_of::<f64>() * preparation.pixels.pow(2);
-        let all = capacity.checked_mul(bytes);
-        if all.is_none_or(|all| Vec::<u8>::new().try_reserve_exact(all).is_err()) {
-            return Err(Error::Value(format!(
-                "capacity is {capacity}, more than memory can hold: each image takes {bytes} bytes"
-            )));
-        }
-        Ok(())
-    }
-
-    fn new(preparation: &super::Preparation) -> Self {
-        let shape = (preparation.frame[1], preparation.frame[0]);
-        Self { data_e: Array2::zeros(shape), bad: Array2::from_elem(shape, false) }
-    }
-}
-
-fn interrupted() -> Error {
-    Error::Interrupted("the fit was cancelled".into())
+    Ok(())
 }

@@ -207,14 +207,15 @@ fn fit(
             none.insert(Box::new(Session::new(native, &SessionOptions::default())?))
         }
     };
-    let (mut to_e, mut to_bad) = session.frame_mut(0)?;
+    let (mut to_e, mut to_bad) = session.frame_mut(0, 0)?;
     to_e.assign(&data_e);
     to_bad.assign(&bad);
     let options = crate::modal::FitOptions { read_noise_e: electrons.read_noise_e, ..Default::default() };
     session.fit(1, &options)?;
-    let result = session.results()[0].clone();
+    let channel = &session.channels()[0];
+    let result = channel.results()[0].clone();
     let report = result.report;
-    let compared = session.fitted_image(0);
+    let compared = channel.fitted_image(0);
     let mut estimate = FrameEstimate {
         covariance_nm2: Array2::from_elem([result.coefficients_nm.len(); 2], f64::NAN),
         coefficients_nm: result.coefficients_nm,
@@ -229,7 +230,7 @@ fn fit(
     };
     let saturated = estimate.compared.as_ref().and_then(|compared| saturation(compared, data_e, bad));
     match report.status {
-        Status::Ok | Status::Misfit => estimate.covariance_nm2 = session.covariance_nm2(0)?,
+        Status::Ok | Status::Misfit => estimate.covariance_nm2 = session.refine(0)?.covariance_nm2,
         Status::WrongMinimum | Status::NotConverged(_) | Status::Unusable(_) => {
             // A cause says more than its effect on χ².
             estimate.refusal = saturated.clone().or_else(|| Some(report.sentence()));

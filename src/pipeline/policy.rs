@@ -1,6 +1,6 @@
 //! Policy: the choices of an estimate that are not part of the scene.
 
-use crate::modal::{JointSession, Recipe, Session};
+use crate::modal::{Recipe, Session};
 use crate::scene::Scene;
 use crate::{Error, Result};
 
@@ -70,13 +70,6 @@ impl Policy {
 }
 
 impl Session {
-    /// The policy that it follows: [`Policy::realtime`].
-    pub fn policy(&self) -> Policy {
-        Policy::realtime()
-    }
-}
-
-impl JointSession {
     /// The policy that it follows: [`Policy::realtime`].
     pub fn policy(&self) -> Policy {
         Policy::realtime()

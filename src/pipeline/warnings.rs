@@ -4,9 +4,7 @@ use super::explain::is_mean_misfit;
 use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
-use crate::modal::{
-    self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, RejectedPixels, Session, Status,
-};
+use crate::modal::{self, DiversityProjection, ImageReport, Model, PistonInteger, RejectedPixels, Session, Status};
 use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
 
@@ -100,25 +98,23 @@ pub(super) fn contradiction_warning((chi2, freedom): (f64, f64)) -> String {
     )
 }
 
-impl JointSession {
-    /// Warnings on the devices and models of its channels, and on channels that contradict each other in the last fit.
-    pub fn warnings(&self) -> Vec<String> {
-        let each = self.sessions().iter().zip(self.names());
-        let each = each.flat_map(|(session, name)| {
-            session.warnings().into_iter().map(move |sentence| format!("channel {name}: {sentence}"))
-        });
-        let last = self.result().filter(|fit| fit.is_contradictory);
-        each.chain(last.map(|fit| contradiction_warning(fit.disagreement))).collect()
-    }
-}
-
 impl Session {
-    /// Warnings on its device and its model: sentences that a user should read before using its results. Those on single
-    /// images are in their reports.
+    /// Warnings on its devices and its models, and on groups of the last fit whose channels contradict each other: sentences that a user
+    /// should read before using its results. Those on single images are in their reports.
     pub fn warnings(&self) -> Vec<String> {
-        let device = self.device_failure().map(str::to_owned);
-        let estimator = self.estimator();
-        device.into_iter().chain(model_warning(estimator.model())).collect()
+        let (count, is_joint) = (self.results().len(), self.channels().len() > 1);
+        let mut sentences = Vec::new();
+        for channel in self.channels() {
+            let about = if is_joint { format!("channel {}: ", channel.name()) } else { String::new() };
+            let device = channel.device_failure().map(str::to_owned);
+            let own = device.into_iter().chain(model_warning(channel.estimator().model()));
+            sentences.extend(own.map(|sentence| format!("{about}{sentence}")));
+        }
+        for (group, result) in self.results().iter().enumerate().filter(|(_, result)| result.is_contradictory) {
+            let about = if count > 1 { format!("group {} of {count}: ", group + 1) } else { String::new() };
+            sentences.push(about + &contradiction_warning(result.disagreement));
+        }
+        sentences
     }
 }
 

@@ -10,8 +10,8 @@ mod golden;
 mod rtc;
 
 use super::fits::same;
-use super::joint_session;
 use super::pipeline::prints_what_rust_finds;
+use super::session_channels;
 use super::{here, libraries, root};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -109,8 +109,8 @@ fn pipeline() {
 #[test]
 fn sessions_of_several_channels() {
     let directory = tempfile::tempdir().unwrap();
-    let program = compile("-std=c99", &here().join("joint_session.c"), directory.path());
-    joint_session::prints_what_rust_finds(|| Some(command(&program)));
+    let program = compile("-std=c99", &here().join("session_channels.c"), directory.path());
+    session_channels::prints_what_rust_finds(|| Some(command(&program)));
 }
 
 #[test]

@@ -68,7 +68,7 @@ def scenes_by_name(path, scene):
     factory = cophase.SessionFactory(Path(path))
     assert factory == cophase.SessionFactory(path) == cophase.SessionFactory(scene, os.path.dirname(path))
     assert factory.scene == scene and cophase.Model(path).mode_names == factory.model().mode_names
-    takers = (cophase.Estimator, cophase.JointSession, cophase.Model, cophase.Simulator, cophase.scene_set)
+    takers = (cophase.Estimator, cophase.Model, cophase.Simulator, cophase.scene_set)
     with tempfile.TemporaryDirectory() as folder:
         # The files that it names are beside it.
         mine, raw = os.path.join(folder, "mine.toml"), os.path.join(folder, "raw.fits")

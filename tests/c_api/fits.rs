@@ -39,21 +39,21 @@ pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
     let frames = ArrayView3::from_shape((COUNT, rows, columns), &frames).unwrap();
     for (k, frame) in frames.axis_iter(Axis(0)).enumerate() {
         assert!(frame != frame.slice(ndarray::s![..;-1, ..]) && frame != frame.slice(ndarray::s![.., ..;-1]));
-        let (mut data_e, mut bad) = session.frame_mut(k).unwrap();
+        let (mut data_e, mut bad) = session.frame_mut(k, 0).unwrap();
         data_e.assign(&frame);
         bad.fill(false);
     }
     session.fit(COUNT, &FitOptions::default()).unwrap();
     let fitted: Vec<f64> = session.results().iter().flat_map(|result| result.coefficients_nm.clone()).collect();
     same("coefficients", &next(COUNT * modes), &fitted);
-    let covariance_nm2: Vec<f64> = session.covariance_nm2(0).unwrap().into_iter().collect();
+    let covariance_nm2: Vec<f64> = session.refine(0).unwrap().covariance_nm2.into_iter().collect();
     same("covariance", &next(modes * modes), &covariance_nm2);
 
     let points_nm = next(COUNT * modes);
     let points_nm = ArrayView2::from_shape((COUNT, modes), &points_nm).unwrap();
     let (mut objectives, mut gradients) = (vec![0.0; COUNT], vec![0.0; COUNT * modes]);
-    session.load(COUNT, None).unwrap();
-    session.evaluate(points_nm, &mut objectives, &mut gradients).unwrap();
+    session.load(0, COUNT, None).unwrap();
+    session.evaluate(0, points_nm, &mut objectives, &mut gradients).unwrap();
     same("objectives", &next(COUNT), &objectives);
     same("gradients", &next(COUNT * modes), &gradients);
     assert!(next(1).is_empty());

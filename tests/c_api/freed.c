@@ -44,7 +44,7 @@ int main(int argc, char **argv)
     REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_estimator_progress(estimator, NULL, NULL, NULL));
     cophase_estimator_destroy(estimator);
     cophase_session_destroy(s.session);
-    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0));
+    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_session_fit(s.session, &frames, 1, NULL, s.fitted_nm, NULL, s.modes, NULL, 0, NULL, 0));
     REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_session_cancel(s.session));
     cophase_session_destroy(s.session);
     s.session = NULL;

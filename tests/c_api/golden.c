@@ -38,7 +38,7 @@ static void evaluate(const char *name, cophase_model *model, const double *data,
     options.capacity = POINTS;
     CHECK(cophase_session_create(model, &options, &session) == COPHASE_OK);
     frames.count_stride = 0; /* the same image for each point */
-    CHECK(cophase_session_evaluate(session, &frames, NULL, points_nm, POINTS, MODES, objectives, gradients) == COPHASE_OK);
+    CHECK(cophase_session_evaluate(session, 0, &frames, NULL, points_nm, POINTS, MODES, objectives, gradients) == COPHASE_OK);
     for (i = 0; i < POINTS; i++) {
         const double objective = fabs(objectives[i] / golden_objectives[i] - 1.0);
         const double gradient = relative_difference(gradients + i * MODES, golden_gradients + i * MODES, MODES);

@@ -118,7 +118,7 @@ static int fits_as_expected(cophase_session *session, const cophase_fit_options 
     int same;
 
     HOLDS(found_nm != NULL);
-    WORKS(cophase_session_fit(session, &frames, options, found_nm, modes, NULL, 0));
+    WORKS(cophase_session_fit(session, &frames, 1, options, found_nm, NULL, modes, NULL, 0, NULL, 0));
     same = memcmp(found_nm, expected_nm, count * modes * sizeof *found_nm) == 0;
     free(found_nm);
     return same;
@@ -184,14 +184,14 @@ static void fit_options(void)
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
         options = options_of(sizes[i]);
         HOLDS(fits_as_expected(session, (cophase_fit_options *)options, FRAMES));
-        WORKS(cophase_session_evaluate(session, &frames, (cophase_fit_options *)options, expected_nm, FRAMES, modes, values,
+        WORKS(cophase_session_evaluate(session, 0, &frames, (cophase_fit_options *)options, expected_nm, FRAMES, modes, values,
                                        values + FRAMES));
         HOLDS(guard_stands(options, sizes[i]));
         free(options);
     }
     options = options_of(known + GROWN_BYTES);
     options[known] = 1;
-    HOLDS(cophase_session_fit(session, &frames, (cophase_fit_options *)options, untouched, modes, NULL, 0) ==
+    HOLDS(cophase_session_fit(session, &frames, 1, (cophase_fit_options *)options, untouched, NULL, modes, NULL, 0, NULL, 0) ==
           COPHASE_BAD_ARGUMENT);
     HOLDS(all_are(untouched, FRAMES * modes * sizeof *untouched, GUARD));
     free(options);
@@ -215,14 +215,14 @@ static void calibration(void)
         options = options_of(sizes[i]);
         /* A dark of zeros, which every one of these programs has the field for, changes nothing. */
         ((cophase_calibration *)options)->dark = input(zeros, COPHASE_F32, 1, rows, cols);
-        WORKS(cophase_session_calibrate(session, (cophase_calibration *)options));
+        WORKS(cophase_session_calibrate(session, 0, (cophase_calibration *)options));
         HOLDS(guard_stands(options, sizes[i]));
         HOLDS(fits_as_expected(session, NULL, FRAMES));
         free(options);
     }
     options = options_of(known + GROWN_BYTES);
     options[known + 8] = 1;
-    HOLDS(cophase_session_calibrate(session, (cophase_calibration *)options) == COPHASE_BAD_ARGUMENT);
+    HOLDS(cophase_session_calibrate(session, 0, (cophase_calibration *)options) == COPHASE_BAD_ARGUMENT);
     /* The one before is still in use. */
     HOLDS(fits_as_expected(session, NULL, FRAMES));
     free(options);
@@ -325,7 +325,8 @@ static void reports(void)
         size_t shared = sizes[i] < known ? sizes[i] : known;
         unsigned char *array = (unsigned char *)guarded(FRAMES * sizes[i]);
 
-        WORKS(cophase_session_fit(session, &frames, NULL, found_nm, modes, (cophase_image_report *)array, sizes[i]));
+        WORKS(cophase_session_fit(session, &frames, 1, NULL, found_nm, NULL, modes, (cophase_image_report *)array, sizes[i],
+                                  NULL, 0));
         HOLDS(guard_stands(array, FRAMES * sizes[i]));
         for (k = 0; k < FRAMES; k++) {
             const unsigned char *report = array + k * sizes[i];
@@ -399,7 +400,7 @@ int main(int argc, char **argv)
     HOLDS(expected_nm != NULL);
     frames = input(frames_e, COPHASE_F32, FRAMES, rows, cols);
     session = session_for(FRAMES);
-    WORKS(cophase_session_fit(session, &frames, NULL, expected_nm, modes, expected, sizeof *expected));
+    WORKS(cophase_session_fit(session, &frames, 1, NULL, expected_nm, NULL, modes, expected, sizeof *expected, NULL, 0));
     cophase_session_destroy(session);
 
     session_options();

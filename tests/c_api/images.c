@@ -10,7 +10,7 @@ static int32_t fitted(const struct setting *s, const float *frame, const cophase
 {
     const cophase_input frames = input(frame, COPHASE_F32, 1, s->rows, s->cols);
 
-    CHECK(cophase_session_fit(s->session, &frames, options, coefficients_nm, s->modes, report, sizeof *report) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, options, coefficients_nm, NULL, s->modes, report, sizeof *report, NULL, 0) == COPHASE_OK);
     return report->status;
 }
 
@@ -83,7 +83,7 @@ static void statuses(const struct setting *s)
     CHECK(message_says(s, "constant"));
     for (i = 0; i < s->modes; i++)
         CHECK(found_nm[i] != found_nm[i]);
-    CHECK(cophase_session_covariance_nm2(s->session, 0, found_nm, s->modes) != COPHASE_OK);
+    CHECK(cophase_session_refine(s->session, 0, NULL, found_nm, s->modes, NULL, 0) != COPHASE_OK);
     memset(frame, 0xff, s->pixels * sizeof *frame); /* NaN */
     CHECK(fitted(s, frame, NULL, &report, found_nm) == COPHASE_IMAGE_UNUSABLE);
     CHECK(message_says(s, "good pixel"));
@@ -91,7 +91,7 @@ static void statuses(const struct setting *s)
         const cophase_input nothing = input(frame, COPHASE_F32, 1, s->rows, s->cols);
 
         REFUSED(COPHASE_BAD_IMAGE, "good pixel",
-                cophase_session_evaluate(s->session, &nothing, NULL, s->truth_nm, 1, s->modes, found_nm, found_nm + 1));
+                cophase_session_evaluate(s->session, 0, &nothing, NULL, s->truth_nm, 1, s->modes, found_nm, found_nm + 1));
     }
 
     options.max_evaluations = 1;
@@ -99,7 +99,7 @@ static void statuses(const struct setting *s)
     {
         const cophase_input one = frames_of(s, 1);
 
-        CHECK(cophase_session_fit(hasty, &one, NULL, found_nm, s->modes, &report, sizeof report) == COPHASE_OK);
+        CHECK(cophase_session_fit(hasty, &one, 1, NULL, found_nm, NULL, s->modes, &report, sizeof report, NULL, 0) == COPHASE_OK);
     }
     CHECK(report.status == COPHASE_IMAGE_NOT_CONVERGED && report.evaluations == 1);
     cophase_session_destroy(hasty);
@@ -116,10 +116,10 @@ static void one_bad_among_good(const struct setting *s)
     cophase_image_report reports[COUNT];
     float *kept = floats(s->pixels);
 
-    CHECK(cophase_session_fit(s->session, &frames, NULL, clean_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, clean_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     memcpy(kept, s->frames + s->pixels, s->pixels * sizeof *kept);
     memset(s->frames + s->pixels, 0, s->pixels * sizeof *kept);
-    CHECK(cophase_session_fit(s->session, &frames, NULL, found_nm, s->modes, reports, sizeof *reports) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, found_nm, NULL, s->modes, reports, sizeof *reports, NULL, 0) == COPHASE_OK);
     CHECK(reports[0].status == COPHASE_IMAGE_OK && reports[2].status == COPHASE_IMAGE_OK);
     CHECK(reports[1].status == COPHASE_IMAGE_UNUSABLE && found_nm[s->modes] != found_nm[s->modes]);
     CHECK(memcmp(found_nm, clean_nm, bytes) == 0);
@@ -147,9 +147,9 @@ static void deadlines(const struct setting *s)
         const cophase_input one = frames_of(s, 1);
 
         options.deadline_s = -1.0;
-        REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_fit(s->session, &one, &options, found_nm, s->modes, NULL, 0));
+        REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_fit(s->session, &one, 1, &options, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
         options.deadline_s = NAN;
-        REFUSED(COPHASE_BAD_VALUE, "deadline_s", cophase_session_fit(s->session, &one, &options, found_nm, s->modes, NULL, 0));
+        REFUSED(COPHASE_BAD_VALUE, "deadline_s", cophase_session_fit(s->session, &one, 1, &options, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     }
     free(found_nm);
 }
@@ -176,7 +176,7 @@ static void calibration(const struct setting *s)
     maps.flat = input(flat, COPHASE_F32, 1, s->rows, s->cols);
     maps.bad = input(bad, COPHASE_U8, 1, s->rows, s->cols);
     maps.gain_e = 4.0;
-    CHECK(cophase_session_calibrate(s->session, &maps) == COPHASE_OK);
+    CHECK(cophase_session_calibrate(s->session, 0, &maps) == COPHASE_OK);
     CHECK(fitted(s, raw, NULL, &report, found_nm) == COPHASE_IMAGE_OK && report.bad_pixels == 0);
     CHECK(memcmp(found_nm, plain_nm, s->modes * sizeof *found_nm) == 0);
 
@@ -184,23 +184,23 @@ static void calibration(const struct setting *s)
     raw[s->pixels / 2 + 3] = 1e6f;
     CHECK(fitted(s, raw, NULL, &report, found_nm) == COPHASE_IMAGE_OK && report.rejected_pixels == 1);
     bad[s->pixels / 2 + 3] = 1;
-    CHECK(cophase_session_calibrate(s->session, &maps) == COPHASE_OK);
+    CHECK(cophase_session_calibrate(s->session, 0, &maps) == COPHASE_OK);
     CHECK(fitted(s, raw, NULL, &report, found_nm) == COPHASE_IMAGE_OK && report.bad_pixels == 1);
     maps.bad.data = NULL, maps.saturation = 1e6;
-    CHECK(cophase_session_calibrate(s->session, &maps) == COPHASE_OK);
+    CHECK(cophase_session_calibrate(s->session, 0, &maps) == COPHASE_OK);
     CHECK(fitted(s, raw, NULL, &report, plain_nm) == COPHASE_IMAGE_OK && report.bad_pixels == 1);
     CHECK(memcmp(found_nm, plain_nm, s->modes * sizeof *found_nm) == 0);
 
     maps.gain_e = -1.0;
-    REFUSED(COPHASE_BAD_VALUE, "gain_e", cophase_session_calibrate(s->session, &maps));
+    REFUSED(COPHASE_BAD_VALUE, "gain_e", cophase_session_calibrate(s->session, 0, &maps));
     maps.gain_e = 4.0, maps.dark.rows++;
-    REFUSED(COPHASE_BAD_SHAPE, "dark", cophase_session_calibrate(s->session, &maps));
+    REFUSED(COPHASE_BAD_SHAPE, "dark", cophase_session_calibrate(s->session, 0, &maps));
     maps.dark.rows--, maps.flat.element = 77;
-    REFUSED(COPHASE_BAD_ARGUMENT, "flat", cophase_session_calibrate(s->session, &maps));
+    REFUSED(COPHASE_BAD_ARGUMENT, "flat", cophase_session_calibrate(s->session, 0, &maps));
     maps.flat.element = COPHASE_F32, flat[0] = 0.0f;
-    CHECK(cophase_session_calibrate(s->session, &maps) != COPHASE_INTERNAL); /* a dead pixel: bad, or refused */
+    CHECK(cophase_session_calibrate(s->session, 0, &maps) != COPHASE_INTERNAL); /* a dead pixel: bad, or refused */
     /* None: as before. */
-    CHECK(cophase_session_calibrate(s->session, NULL) == COPHASE_OK);
+    CHECK(cophase_session_calibrate(s->session, 0, NULL) == COPHASE_OK);
     CHECK(fitted(s, s->frames, NULL, &report, found_nm) == COPHASE_IMAGE_OK);
     CHECK(memcmp(found_nm, s->fitted_nm, s->modes * sizeof *found_nm) == 0);
     free(found_nm), free(plain_nm), free(bad), free(dark), free(raw), free(flat), free(electrons);

@@ -41,7 +41,7 @@ static void working_session(const struct setting *s)
     const cophase_input frames = frames_of(s, 1);
     cophase_session *made = session_for(s->model, 1);
 
-    CHECK(cophase_session_fit(made, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(made, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     cophase_session_destroy(made);
 }
 
@@ -120,7 +120,7 @@ int main(int argc, char **argv)
     counts = times >= 2000;
     s = setting_of(scene);
     frames = frames_of(&s, COUNT);
-    CHECK(cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s.session, &frames, 1, NULL, s.fitted_nm, NULL, s.modes, NULL, 0, NULL, 0) == COPHASE_OK);
     repeat("sequence", sequence, &s, times, FEW);
     repeat("refused model", refused_model, &s, times, FEW);
     repeat("model", model, &s, times / 100, MANY); /* each takes 50 ms */

@@ -14,12 +14,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 mod fits;
-mod joint_session;
 #[path = "../common/libraries.rs"]
 mod libraries;
 mod octave;
 mod pipeline;
 mod python;
+mod session_channels;
 mod sky;
 
 /// Enough for the loop to have closed.

@@ -37,6 +37,9 @@ static void null_models(const struct setting *s, const char *scene)
 
     NULL_IS_REFUSED("model", cophase_model_get_info(NULL, &info, sizeof info));
     NULL_IS_REFUSED("info", cophase_model_get_info(s->model, NULL, sizeof info));
+    NULL_IS_REFUSED("model", cophase_model_channel(NULL, 0, &name, &model));
+    REFUSED(COPHASE_BAD_VALUE, "channel 1 does not exist", cophase_model_channel(s->model, 1, &name, &model));
+    CHECK(cophase_model_channel(s->model, 0, NULL, NULL) == COPHASE_OK);
     NULL_IS_REFUSED("model", cophase_model_mode_name(NULL, 0, &name));
     NULL_IS_REFUSED("name", cophase_model_mode_name(s->model, 0, NULL));
     NULL_IS_REFUSED("model", cophase_model_wavefront_nm(NULL, s->truth_nm, s->modes, &pixel, 1));
@@ -60,23 +63,29 @@ static void null_sessions(const struct setting *s)
     NULL_IS_REFUSED("model", cophase_session_create(NULL, NULL, &session));
     NULL_IS_REFUSED("session", cophase_session_create(s->model, NULL, NULL));
     NULL_IS_REFUSED("session", cophase_session_cancel(NULL));
-    NULL_IS_REFUSED("session", cophase_session_calibrate(NULL, &calibration));
-    NULL_IS_REFUSED("session", cophase_session_fit(NULL, &frame, NULL, values, s->modes, NULL, 0));
-    NULL_IS_REFUSED("frames", cophase_session_fit(s->session, NULL, NULL, values, s->modes, NULL, 0));
-    NULL_IS_REFUSED("coefficients_nm", cophase_session_fit(s->session, &frame, NULL, NULL, s->modes, NULL, 0));
+    NULL_IS_REFUSED("session", cophase_session_calibrate(NULL, 0, &calibration));
+    NULL_IS_REFUSED("session", cophase_session_fit(NULL, &frame, 1, NULL, values, NULL, s->modes, NULL, 0, NULL, 0));
+    NULL_IS_REFUSED("frames", cophase_session_fit(s->session, NULL, 1, NULL, values, NULL, s->modes, NULL, 0, NULL, 0));
+    NULL_IS_REFUSED("coefficients_nm",
+                    cophase_session_fit(s->session, &frame, 1, NULL, NULL, NULL, s->modes, NULL, 0, NULL, 0));
+    REFUSED(COPHASE_BAD_SHAPE, "channels is 2: 1",
+            cophase_session_fit(s->session, &frame, 2, NULL, values, NULL, s->modes, NULL, 0, NULL, 0));
+    REFUSED(COPHASE_BAD_VALUE, "channel 1 does not exist", cophase_session_calibrate(s->session, 1, &calibration));
+    REFUSED(COPHASE_BAD_VALUE, "channel 1 does not exist",
+            cophase_session_evaluate(s->session, 1, &frame, NULL, s->truth_nm, 1, s->modes, &objective, values));
 #define EVALUATE(session, coefficients_nm, objectives, gradients) \
-    cophase_session_evaluate(session, &frame, NULL, coefficients_nm, 1, s->modes, objectives, gradients)
+    cophase_session_evaluate(session, 0, &frame, NULL, coefficients_nm, 1, s->modes, objectives, gradients)
     NULL_IS_REFUSED("session", EVALUATE(NULL, s->truth_nm, &objective, values));
     NULL_IS_REFUSED("coefficients_nm", EVALUATE(s->session, NULL, &objective, values));
     NULL_IS_REFUSED("objectives", EVALUATE(s->session, s->truth_nm, NULL, values));
     NULL_IS_REFUSED("gradients", EVALUATE(s->session, s->truth_nm, &objective, NULL));
     CHECK(untouched(values, s->modes * s->modes) == s->modes * s->modes && objective == UNTOUCHED);
-    CHECK(cophase_session_fit(s->session, &frame, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frame, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     NULL_IS_REFUSED("session", cophase_session_text(NULL, COPHASE_TEXT_POLICY, 0, text, sizeof text, &size));
     NULL_IS_REFUSED("text", cophase_session_text(s->session, COPHASE_TEXT_POLICY, 0, NULL, 1, &size));
     NULL_IS_REFUSED("length", cophase_session_text(s->session, COPHASE_TEXT_POLICY, 0, text, sizeof text, NULL));
-    NULL_IS_REFUSED("session", cophase_session_covariance_nm2(NULL, 0, values, s->modes));
-    NULL_IS_REFUSED("covariance_nm2", cophase_session_covariance_nm2(s->session, 0, NULL, s->modes));
+    NULL_IS_REFUSED("session", cophase_session_refine(NULL, 0, NULL, values, s->modes, NULL, 0));
+    CHECK(cophase_session_refine(s->session, 0, NULL, NULL, s->modes, NULL, 0) == COPHASE_OK); /* nothing is wanted */
     CHECK(session == NULL && size == 7);
     free(values);
 }
@@ -185,11 +194,13 @@ static void struct_sizes(const struct setting *s, const char *scene)
     cophase_session *session = NULL;
     cophase_model *model = NULL;
     cophase_image_report report;
+    cophase_group_report group;
     cophase_model_info info;
     double *values = doubles(s->modes), objective = UNTOUCHED;
     size_t i;
 
     memset(&report, 0x55, sizeof report);
+    memset(&group, 0x55, sizeof group);
     memset(&info, 0x55, sizeof info);
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
         const size_t size = sizes[i];
@@ -197,18 +208,20 @@ static void struct_sizes(const struct setting *s, const char *scene)
         options.struct_size = calibration.struct_size = arrays.struct_size = fit.struct_size = size;
         estimator_options.struct_size = size;
         REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_create(s->model, &options, &session));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_calibrate(s->session, &calibration));
+        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_calibrate(s->session, 0, &calibration));
         REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_model_create(scene, NULL, &arrays, &model));
         REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_estimator_create(scene, NULL, &estimator_options, &estimator));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_fit(s->session, &frame, &fit, values, s->modes, NULL, 0));
+        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_fit(s->session, &frame, 1, &fit, values, NULL, s->modes, NULL, 0, NULL, 0));
         REFUSED(COPHASE_BAD_ARGUMENT, "struct_size",
-                cophase_session_evaluate(s->session, &frame, &fit, s->truth_nm, 1, s->modes, &objective, values));
-        REFUSED(COPHASE_BAD_ARGUMENT, "report_size",
-                cophase_session_fit(s->session, &frame, NULL, values, s->modes, &report, size));
+                cophase_session_evaluate(s->session, 0, &frame, &fit, s->truth_nm, 1, s->modes, &objective, values));
+        REFUSED(COPHASE_BAD_ARGUMENT, "image_size",
+                cophase_session_fit(s->session, &frame, 1, NULL, values, NULL, s->modes, &report, size, NULL, 0));
+        REFUSED(COPHASE_BAD_ARGUMENT, "group_size",
+                cophase_session_fit(s->session, &frame, 1, NULL, values, NULL, s->modes, NULL, 0, &group, size));
         REFUSED(COPHASE_BAD_ARGUMENT, "info_size", cophase_model_get_info(s->model, &info, size));
     }
     CHECK(session == NULL && model == NULL && estimator == NULL && untouched(values, s->modes) == s->modes);
-    CHECK(report.evaluations == 0x5555555555555555u && info.modes == 0x5555555555555555u && objective == UNTOUCHED);
+    CHECK(report.evaluations == 0x5555555555555555u && group.status == 0x55555555 && info.modes == 0x5555555555555555u && objective == UNTOUCHED);
     free(values);
 }
 
@@ -251,10 +264,12 @@ static void frames(const struct setting *s)
     cophase_input bad;
 
 #define FRAMES_REFUSED(status, part)                                                                          \
-    REFUSED(status, part, cophase_session_fit(s->session, &bad, NULL, values, s->modes, NULL, 0));            \
     REFUSED(status, part,                                                                                     \
-            cophase_session_evaluate(s->session, &bad, NULL, s->truth_nm, bad.count == 0 || bad.count > COUNT ? 1 : bad.count, \
-                                     s->modes, values, values + COUNT))
+            cophase_session_fit(s->session, &bad, 1, NULL, values, NULL, s->modes, NULL, 0, NULL, 0));        \
+    REFUSED(status, part,                                                                                     \
+            cophase_session_evaluate(s->session, 0, &bad, NULL, s->truth_nm,                                  \
+                                     bad.count == 0 || bad.count > COUNT ? 1 : bad.count, s->modes, values,   \
+                                     values + COUNT))
 
     bad = good, bad.data = NULL;
     FRAMES_REFUSED(COPHASE_BAD_ARGUMENT, "frames");
@@ -281,10 +296,10 @@ static void frames(const struct setting *s)
     bad = good, bad.count = 2, bad.count_stride = PTRDIFF_MAX / 2;
     FRAMES_REFUSED(COPHASE_BAD_ARGUMENT, "address space");
 
-    REFUSED(COPHASE_BAD_SHAPE, "modes", cophase_session_fit(s->session, &good, NULL, values, 0, NULL, 0));
-    REFUSED(COPHASE_BAD_SHAPE, "modes", cophase_session_fit(s->session, &good, NULL, values, (size_t)-1, NULL, 0));
+    REFUSED(COPHASE_BAD_SHAPE, "modes", cophase_session_fit(s->session, &good, 1, NULL, values, NULL, 0, NULL, 0, NULL, 0));
+    REFUSED(COPHASE_BAD_SHAPE, "modes", cophase_session_fit(s->session, &good, 1, NULL, values, NULL, (size_t)-1, NULL, 0, NULL, 0));
     REFUSED(COPHASE_BAD_ARGUMENT, "coefficients_nm",
-            cophase_session_fit(s->session, &good, NULL, (double *)(void *)((char *)values + 4), s->modes, NULL, 0));
+            cophase_session_fit(s->session, &good, 1, NULL, (double *)(void *)((char *)values + 4), NULL, s->modes, NULL, 0, NULL, 0));
     CHECK(untouched(values, 2 * COUNT * s->modes) == 2 * COUNT * s->modes);
     free(values);
 }

@@ -1,7 +1,7 @@
 //! The MATLAB package under Octave, on the library that cargo built: simulator, fits, estimates, help and examples.
 
 use super::pipeline::prints_what_rust_finds;
-use super::{dumps_the_same, fits, here, is_here, joint_session, libraries, root, sky};
+use super::{dumps_the_same, fits, here, is_here, libraries, root, session_channels, sky};
 use std::path::Path;
 use std::process::Command;
 
@@ -73,8 +73,8 @@ fn pipeline() {
 #[test]
 fn sessions_of_several_channels() {
     let scratch = tempfile::tempdir().unwrap();
-    joint_session::prints_what_rust_finds(|| {
-        let mut command = octave("joint_session.m", scratch.path())?;
+    session_channels::prints_what_rust_finds(|| {
+        let mut command = octave("session_channels.m", scratch.path())?;
         command.env("COPHASE_LIBRARIES", libraries()).env("COPHASE_SCRATCH", scratch.path());
         Some(command)
     });

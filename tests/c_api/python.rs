@@ -1,7 +1,7 @@
 //! The Python package on the library that cargo built: simulator, fits, estimates, failures, the wheel.
 
 use super::pipeline::prints_what_rust_finds;
-use super::{dumps_the_same, fits, here, is_here, joint_session, libraries, library, root, sky};
+use super::{dumps_the_same, fits, here, is_here, libraries, library, root, session_channels, sky};
 use std::process::Command;
 
 /// `script` with the package on Python's path, if Python runs `needs`; a failure if it does not and `variable` is set.
@@ -82,7 +82,7 @@ fn pipeline() {
 
 #[test]
 fn sessions_of_several_channels() {
-    joint_session::prints_what_rust_finds(|| with_package("joint_session.py"));
+    session_channels::prints_what_rust_finds(|| with_package("session_channels.py"));
 }
 
 #[test]

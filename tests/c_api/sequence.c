@@ -12,7 +12,7 @@ static void push_one(const struct setting *s, cophase_sequence *sequence, uint64
     const cophase_input frame = frames_of(s, 1);
 
     make_frame(s->model, s->truth_nm, seed, s->frames);
-    CHECK(cophase_session_fit(s->session, &frame, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frame, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK);
 }
 
@@ -23,7 +23,7 @@ static void push_nothing(const struct setting *s, cophase_sequence *sequence)
     cophase_image_report report;
 
     memset(s->frames, 0, s->pixels * sizeof *s->frames);
-    CHECK(cophase_session_fit(s->session, &frame, NULL, s->fitted_nm, s->modes, &report, sizeof report) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frame, 1, NULL, s->fitted_nm, NULL, s->modes, &report, sizeof report, NULL, 0) == COPHASE_OK);
     CHECK(report.status == COPHASE_IMAGE_UNUSABLE);
     CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK);
 }
@@ -116,7 +116,7 @@ static void strangers(const struct setting *s, const char *scene)
     cophase_model *other = NULL;
 
     CHECK(cophase_model_create(other_scene, NULL, NULL, &other) == COPHASE_OK);
-    CHECK(cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_create(other, CAPACITY, &sequence) == COPHASE_OK);
     REFUSED(COPHASE_BAD_VALUE, "model", cophase_sequence_push(sequence, s->session));
     cophase_sequence_destroy(sequence);

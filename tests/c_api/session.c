@@ -12,9 +12,9 @@ static void before_a_fit(const struct setting *s)
     char text[64];
     size_t length = 7;
 
-    REFUSED(COPHASE_BAD_VALUE, "fit", cophase_session_covariance_nm2(s->session, 0, values, s->modes));
+    REFUSED(COPHASE_BAD_VALUE, "fit", cophase_session_refine(s->session, 0, NULL, values, s->modes, NULL, 0));
     REFUSED(COPHASE_BAD_VALUE, "fit", cophase_session_text(s->session, COPHASE_TEXT_IMAGE_MESSAGE, 0, text, sizeof text, &length));
-    REFUSED(COPHASE_BAD_VALUE, "load", cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, 1, s->modes, values, values + 1));
+    REFUSED(COPHASE_BAD_VALUE, "load", cophase_session_evaluate(s->session, 0, NULL, NULL, s->truth_nm, 1, s->modes, values, values + 1));
     CHECK(untouched(values, s->modes * s->modes + 1) == s->modes * s->modes + 1 && length == 7);
     free(values);
 }
@@ -33,7 +33,7 @@ static void the_fit(struct setting *s, FILE *file)
     side = info.pixels;
     CHECK(side >= s->rows && side >= s->cols);
     missing = side * side - s->rows * s->cols;
-    CHECK(cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, reports, sizeof *reports) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, reports, sizeof *reports, NULL, 0) == COPHASE_OK);
     for (k = 0; k < COUNT; k++) {
         const double *fitted_nm = s->fitted_nm + k * s->modes, *truth_nm = s->truth_nm + k * s->modes;
         double piston_nm = 0.0;
@@ -44,7 +44,7 @@ static void the_fit(struct setting *s, FILE *file)
         CHECK(reports[k].reduced_chi2 > 0.85 && reports[k].reduced_chi2 < 1.15);
         CHECK(fabs(reports[k].flux_e / FLUX_E - 1.0) < 0.01 && fabs(reports[k].background_e - BACKGROUND_E) < 3.0);
         CHECK(reports[k].seconds > 0.0);
-        CHECK(cophase_session_covariance_nm2(s->session, k, covariance_nm2, s->modes) == COPHASE_OK);
+        CHECK(cophase_session_refine(s->session, k, NULL, covariance_nm2, s->modes, NULL, 0) == COPHASE_OK);
         /* Nothing sees the piston of all segments together. */
         for (i = 0; i < s->segment_modes; i++)
             piston_nm += (fitted_nm[i] - truth_nm[i]) / (double)s->segment_modes;
@@ -55,9 +55,9 @@ static void the_fit(struct setting *s, FILE *file)
             CHECK(error_nm * error_nm < 36.0 * covariance_nm2[i * s->modes + i]);
         }
     }
-    REFUSED(COPHASE_BAD_VALUE, "3", cophase_session_covariance_nm2(s->session, COUNT, covariance_nm2, s->modes));
-    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_covariance_nm2(s->session, 0, covariance_nm2, s->modes + 1));
-    CHECK(cophase_session_covariance_nm2(s->session, 0, covariance_nm2, s->modes) == COPHASE_OK);
+    REFUSED(COPHASE_BAD_VALUE, "3", cophase_session_refine(s->session, COUNT, NULL, covariance_nm2, s->modes, NULL, 0));
+    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_refine(s->session, 0, NULL, covariance_nm2, s->modes + 1, NULL, 0));
+    CHECK(cophase_session_refine(s->session, 0, NULL, covariance_nm2, s->modes, NULL, 0) == COPHASE_OK);
     for (i = 0; i < COUNT * s->pixels; i++) {
         const double value = (double)s->frames[i];
 
@@ -126,15 +126,15 @@ static void elements(const struct setting *s)
     }
     for (i = 0; i < TYPES; i++) {
         frame = input(data[i], types[i], 1, s->rows, s->cols);
-        CHECK(cophase_session_fit(s->session, &frame, NULL, found_nm + i * s->modes, s->modes, NULL, 0) == COPHASE_OK);
+        CHECK(cophase_session_fit(s->session, &frame, 1, NULL, found_nm + i * s->modes, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
         CHECK(memcmp(found_nm, found_nm + i * s->modes, s->modes * sizeof *found_nm) == 0);
     }
     frame = input(u8, COPHASE_U8, 1, s->rows, s->cols);
-    CHECK(cophase_session_fit(s->session, &frame, NULL, found_nm, s->modes, &report, sizeof report) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frame, 1, NULL, found_nm, NULL, s->modes, &report, sizeof report, NULL, 0) == COPHASE_OK);
     frame.element = 0;
-    REFUSED(COPHASE_BAD_ARGUMENT, "element", cophase_session_fit(s->session, &frame, NULL, found_nm, s->modes, NULL, 0));
+    REFUSED(COPHASE_BAD_ARGUMENT, "element", cophase_session_fit(s->session, &frame, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     frame.element = 6;
-    REFUSED(COPHASE_BAD_ARGUMENT, "6", cophase_session_fit(s->session, &frame, NULL, found_nm, s->modes, NULL, 0));
+    REFUSED(COPHASE_BAD_ARGUMENT, "6", cophase_session_fit(s->session, &frame, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     free(u8), free(i32), free(u16), free(found_nm), free(f64), free(f32);
 }
 
@@ -147,7 +147,7 @@ static void evaluations(const struct setting *s, FILE *file)
     double *gradients = doubles(COUNT * s->modes), *point_nm = doubles(s->modes);
     size_t i;
 
-    CHECK(cophase_session_evaluate(s->session, &frames, NULL, s->truth_nm, COUNT, s->modes, objectives, gradients) ==
+    CHECK(cophase_session_evaluate(s->session, 0, &frames, NULL, s->truth_nm, COUNT, s->modes, objectives, gradients) ==
           COPHASE_OK);
     dump(file, s->truth_nm, COUNT * s->modes);
     dump(file, objectives, COUNT);
@@ -157,9 +157,9 @@ static void evaluations(const struct setting *s, FILE *file)
 
         memcpy(point_nm, s->truth_nm, s->modes * sizeof *point_nm);
         point_nm[i] += step_nm;
-        CHECK(cophase_session_evaluate(s->session, NULL, NULL, point_nm, 1, s->modes, above, gradients + s->modes) == COPHASE_OK);
+        CHECK(cophase_session_evaluate(s->session, 0, NULL, NULL, point_nm, 1, s->modes, above, gradients + s->modes) == COPHASE_OK);
         point_nm[i] -= 2.0 * step_nm;
-        CHECK(cophase_session_evaluate(s->session, NULL, NULL, point_nm, 1, s->modes, below, gradients + s->modes) == COPHASE_OK);
+        CHECK(cophase_session_evaluate(s->session, 0, NULL, NULL, point_nm, 1, s->modes, below, gradients + s->modes) == COPHASE_OK);
         difference = (above[0] - below[0]) / (2.0 * step_nm);
         /* The objective is some 2000 and rounds at 1e-16 of it: 2e-11 per nm after the division. The third derivative
          * is the curvature (1 over the error bar of about 0.5 nm, squared) over a radian of 345 nm: 0.01 per nm^3,
@@ -167,12 +167,12 @@ static void evaluations(const struct setting *s, FILE *file)
         CHECK(fabs(difference - gradients[i]) < 1e-5 * (1.0 + fabs(gradients[i])));
     }
     objectives[0] = UNTOUCHED;
-    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, COUNT + 1, s->modes, objectives, gradients));
+    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_evaluate(s->session, 0, NULL, NULL, s->truth_nm, COUNT + 1, s->modes, objectives, gradients));
     REFUSED(COPHASE_BAD_SHAPE, "",
-            cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, 1, s->modes - 1, objectives, gradients));
+            cophase_session_evaluate(s->session, 0, NULL, NULL, s->truth_nm, 1, s->modes - 1, objectives, gradients));
     REFUSED(COPHASE_BAD_SHAPE, "frames is 3 x",
-            cophase_session_evaluate(s->session, &frames, NULL, s->truth_nm, 1, s->modes, objectives, gradients));
-    CHECK(cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, (size_t)-1, s->modes, objectives, gradients) !=
+            cophase_session_evaluate(s->session, 0, &frames, NULL, s->truth_nm, 1, s->modes, objectives, gradients));
+    CHECK(cophase_session_evaluate(s->session, 0, NULL, NULL, s->truth_nm, (size_t)-1, s->modes, objectives, gradients) !=
           COPHASE_OK);
     CHECK(objectives[0] == UNTOUCHED);
     free(point_nm);
@@ -190,36 +190,36 @@ static void other_ways(const struct setting *s)
     cophase_image_report cold, warm;
     size_t i;
 
-    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &cold, sizeof cold) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, &cold, sizeof cold, NULL, 0) == COPHASE_OK);
     CHECK(memcmp(found_nm, s->fitted_nm, s->modes * sizeof *found_nm) == 0);
     memcpy(start_nm, found_nm, s->modes * sizeof *start_nm);
     fit.start_nm = start_nm;
-    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, &warm, sizeof warm, NULL, 0) == COPHASE_OK);
     CHECK(warm.evaluations < cold.evaluations && warm.status == COPHASE_IMAGE_OK);
     start_nm[0] = INFINITY;
-    REFUSED(COPHASE_BAD_VALUE, "start", cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
+    REFUSED(COPHASE_BAD_VALUE, "start", cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     fit.start_nm = NULL;
     fit.read_noise_e = -1.0;
-    REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
+    REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     /* Noise that is said to be larger makes the residual small. */
     fit.read_noise_e = 1000.0;
-    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, &warm, sizeof warm, NULL, 0) == COPHASE_OK);
     CHECK(warm.reduced_chi2 < 0.1 && warm.status == COPHASE_IMAGE_MISFIT);
     /* 0 is the scene's read noise, unless the caller says that it is none. */
     fit.read_noise_e = 0.0;
-    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, &warm, sizeof warm, NULL, 0) == COPHASE_OK);
     CHECK(warm.status == COPHASE_IMAGE_OK);
     fit.has_read_noise = 1;
-    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, &warm, sizeof warm, NULL, 0) == COPHASE_OK);
     CHECK(warm.reduced_chi2 > 1.1 && warm.status == COPHASE_IMAGE_MISFIT);
     fit.has_read_noise = 2;
     REFUSED(COPHASE_BAD_VALUE, "has_read_noise is 2",
-            cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
+            cophase_session_fit(s->session, &frames, 1, &fit, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     fit.has_read_noise = 0;
 
     options.precision = COPHASE_F32, options.threads = -1, options.device = "cpu";
     CHECK(cophase_session_create(s->model, &options, &session) == COPHASE_OK);
-    CHECK(cophase_session_fit(session, &frames, NULL, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(cophase_session_fit(session, &frames, 1, NULL, found_nm, NULL, s->modes, &warm, sizeof warm, NULL, 0) == COPHASE_OK);
     for (i = 0; i < s->modes; i++)
         CHECK(fabs(found_nm[i] - s->fitted_nm[i]) < 0.05); /* a tenth of an error bar */
     cophase_session_destroy(session);

@@ -169,8 +169,8 @@ function reports(m, s, frames)
     assert(isempty(s.warnings()) && iscell(s.warnings()));
     assert(s.policy, 'realtime');
     must_fail('BAD_VALUE', 'up to 3', @() s.message(4));
-    must_fail('BAD_VALUE', 'the image is 0', @() s.covariance_nm2(0));
-    must_fail('BAD_ARGUMENT', 'the image', @() s.covariance_nm2('one'));
+    must_fail('BAD_VALUE', 'the image is 0', @() s.refine(0));
+    must_fail('BAD_ARGUMENT', 'the image', @() s.refine('one'));
 
     % One that is dark beside two that are not.
     dark = frames;
@@ -178,7 +178,7 @@ function reports(m, s, frames)
     [c, report] = s.fit(dark);
     assert({report.status}, {'OK', 'UNUSABLE', 'OK'});
     assert(all(isnan(c(:, 2))) && all(isfinite(c(:, 1))));
-    must_fail('BAD_VALUE', '', @() s.covariance_nm2(2));
+    must_fail('BAD_VALUE', '', @() s.refine(2));
 
     % No time: nothing is raised, and every image says so.
     [~, report] = s.fit(frames, 'deadline_s', 1e-9);
@@ -228,7 +228,7 @@ end
 function [f, g] = objectives(m, s, frames, truth_nm)
     fresh = cophase.Session(m);
     must_fail('BAD_VALUE', '', @() fresh.evaluate(truth_nm(:, 1)));
-    must_fail('BAD_VALUE', '', @() fresh.covariance_nm2());
+    must_fail('BAD_VALUE', '', @() fresh.refine());
     must_fail('BAD_VALUE', '', @() fresh.message());
     f = s.evaluate(truth_nm, frames);
     must_fail('BAD_SHAPE', 'coefficients', @() s.evaluate(truth_nm(2:end, :)));
@@ -385,7 +385,7 @@ function run(scene, dump)
     truth_nm = 25 * randn(m.modes, 3);
     frames = frames_of(m, truth_nm);
     c = s.fit(frames);
-    covariance_nm2 = s.covariance_nm2();
+    [~, covariance_nm2] = s.refine();
     a_model(scene, m);
     strangers(m, s, q);
     choices(m);

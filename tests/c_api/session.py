@@ -143,7 +143,7 @@ def choices(model):
 def fits(model, session, frames, truth_nm):
     """The truth comes back, within its error bars; each image has a report."""
     failure(session.message, cophase.BadValueError)
-    failure(session.covariance_nm2, cophase.BadValueError)
+    failure(session.refine, cophase.BadValueError)
     fit = session.fit(frames)
     assert fit.coefficients_nm.shape == truth_nm.shape and fit.reports.shape == fit.status.shape == (COUNT,)
     assert list(fit.status) == ["OK"] * COUNT, session.message()
@@ -156,7 +156,7 @@ def fits(model, session, frames, truth_nm):
         error_nm = fit.coefficients_nm[k] - truth_nm[k]
         # Nothing sees the piston of all segments together.
         error_nm[: model.segment_modes] -= error_nm[: model.segment_modes].mean()
-        covariance_nm2 = session.covariance_nm2(k)
+        covariance_nm2 = session.refine(k).covariance_nm2
         # Six sigma: not one in ten million of these errors is larger.
         assert (error_nm**2 < 36 * np.diag(covariance_nm2)).all(), (error_nm, np.diag(covariance_nm2) ** 0.5)
         assert session.message(k)
@@ -165,7 +165,7 @@ def fits(model, session, frames, truth_nm):
     failure(lambda: session.message(-1), OverflowError)
 
     # One image alone has no axis of images.
-    covariance_nm2 = session.covariance_nm2()
+    covariance_nm2 = session.refine().covariance_nm2
     one = session.fit(frames[0])
     assert one.coefficients_nm.shape == (model.modes,) and one.reports.shape == one.status.shape == ()
     assert one.status == "OK" and one.reports.flux_e == fit.reports.flux_e[0]

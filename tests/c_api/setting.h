@@ -69,7 +69,7 @@ static inline void done_with(struct setting *s)
 static inline int same_fit(const struct setting *s, cophase_session *session, const cophase_input *frames)
 {
     double *coefficients_nm = doubles(COUNT * s->modes);
-    const cophase_status status = cophase_session_fit(session, frames, NULL, coefficients_nm, s->modes, NULL, 0);
+    const cophase_status status = cophase_session_fit(session, frames, 1, NULL, coefficients_nm, NULL, s->modes, NULL, 0, NULL, 0);
     const int same = memcmp(coefficients_nm, s->fitted_nm, frames->count * s->modes * sizeof *coefficients_nm) == 0;
 
     free(coefficients_nm);

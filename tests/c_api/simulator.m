@@ -33,7 +33,7 @@ assert(isempty(strfind(cophase.scene_set(changed, 'modes.exact_zernikes', []), '
 assert(cophase.scene_set(artificial), artificial);
 assert(cophase.scene_set('keck-artificial', 'image.pixels', 128), cophase.scene_set(artificial, 'image.pixels', 128));
 assert(cophase.scene_set(scene), fileread(scene));
-for take = {@cophase.Estimator, @cophase.JointSession, @cophase.Model, @cophase.Simulator, @cophase.scene_set}
+for take = {@cophase.Estimator, @cophase.Model, @cophase.Simulator, @cophase.scene_set}
     must_fail('BAD_FILE', 'no.toml: there is no such file of a scene', @() take{1}(fullfile(scratch, 'no.toml')));
     must_fail('BAD_SCENE', 'did you mean ''keck-onsky''?', @() take{1}('keck-onsy'));
 end

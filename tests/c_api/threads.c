@@ -36,7 +36,7 @@ static void *fit_on(void *argument)
     double *found_nm = doubles(COUNT * w->s->modes);
 
     while (!is_over(w) && w->interrupted == 0) {
-        const cophase_status status = cophase_session_fit(w->s->session, &frames, NULL, found_nm, w->s->modes, NULL, 0);
+        const cophase_status status = cophase_session_fit(w->s->session, &frames, 1, NULL, found_nm, NULL, w->s->modes, NULL, 0, NULL, 0);
 
         w->fits += status == COPHASE_OK;
         w->busy += status == COPHASE_BUSY;
@@ -79,7 +79,7 @@ static void two_on_one_session(const struct setting *s)
     /* The other thread is nearly always inside: this ends. */
     do {
         found_nm[0] = UNTOUCHED;
-        status = cophase_session_fit(s->session, &frames, NULL, found_nm, s->modes, NULL, 0);
+        status = cophase_session_fit(s->session, &frames, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0);
         CHECK(status == COPHASE_OK || status == COPHASE_BUSY);
         sched_yield();
     } while (status == COPHASE_OK);
@@ -92,7 +92,7 @@ static void two_on_one_session(const struct setting *s)
         sched_yield();
     } while (status != COPHASE_BUSY);
     finish(&other, thread);
-    CHECK(cophase_session_fit(s->session, &frames, NULL, found_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     cophase_sequence_destroy(sequence);
     free(found_nm);
 }
@@ -113,9 +113,9 @@ static void cancel(const struct setting *s)
 
     CHECK(cophase_session_cancel(s->session) == COPHASE_OK);
     CHECK(cophase_session_cancel(s->session) == COPHASE_OK);
-    REFUSED(COPHASE_INTERRUPTED, "", cophase_session_fit(s->session, &frames, NULL, found_nm, s->modes, NULL, 0));
+    REFUSED(COPHASE_INTERRUPTED, "", cophase_session_fit(s->session, &frames, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0));
     CHECK(untouched(found_nm, COUNT * s->modes) == COUNT * s->modes);
-    CHECK(cophase_session_fit(s->session, &frames, NULL, found_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     free(found_nm);
 }
 
@@ -129,7 +129,7 @@ static void *fit_alone(void *argument)
     size_t i;
 
     for (i = 0; i < 20; i++)
-        CHECK(cophase_session_fit(session, &frames, NULL, found_nm, s->modes, NULL, 0) == COPHASE_OK);
+        CHECK(cophase_session_fit(session, &frames, 1, NULL, found_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     cophase_session_destroy(session);
     return found_nm;
 }
@@ -168,7 +168,7 @@ static void orphans(const char *scene)
     CHECK(cophase_model_mode_name(s.model, 0, &name) == COPHASE_OK);
     cophase_model_destroy(s.model);
     s.model = NULL;
-    CHECK(cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s.session, &frames, 1, NULL, s.fitted_nm, NULL, s.modes, NULL, 0, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, s.session) == COPHASE_OK);
     cophase_session_destroy(s.session);
     s.session = NULL;
@@ -183,7 +183,7 @@ static cophase_status with_fault(const char *kind, struct setting *s, const coph
     cophase_status status;
 
     setenv("COPHASE_FAULT", kind, 1);
-    status = cophase_session_fit(s->session, frames, NULL, s->fitted_nm, s->modes, NULL, 0);
+    status = cophase_session_fit(s->session, frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0);
     unsetenv("COPHASE_FAULT");
     return status;
 }
@@ -198,16 +198,15 @@ static void faults(struct setting *s)
 
     CHECK(cophase_sequence_create(s->model, 2, &sequence) == COPHASE_OK);
     REFUSED(COPHASE_INTERNAL, "report", with_fault("internal", s, &frames));
-    CHECK(cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(s->session, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
 
     REFUSED(COPHASE_PANIC, "report", with_fault("panic", s, &frames));
-    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, NULL, 0));
-    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_evaluate(s->session, &frames, NULL, s->truth_nm, 1, s->modes,
-                                                                  s->fitted_nm, s->fitted_nm));
-    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_calibrate(s->session, NULL));
+    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_fit(s->session, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0));
+    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_evaluate(s->session, 0, &frames, NULL, s->truth_nm, 1, s->modes, s->fitted_nm, s->fitted_nm));
+    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_calibrate(s->session, 0, NULL));
     REFUSED(COPHASE_PANIC, "destroyed", cophase_sequence_push(sequence, s->session));
     REFUSED(COPHASE_BAD_IMAGE, "", cophase_sequence_estimate(sequence, s->fitted_nm, NULL, NULL, s->modes, NULL, 0));
-    CHECK(cophase_session_fit(other, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(other, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, other) == COPHASE_OK);
 
     info.modes = 7;
@@ -218,7 +217,7 @@ static void faults(struct setting *s)
     REFUSED(COPHASE_PANIC, "destroyed", cophase_model_get_info(s->model, &info, sizeof info));
     REFUSED(COPHASE_PANIC, "destroyed", cophase_sequence_push(sequence, NULL));
     CHECK(info.modes == 7);
-    CHECK(cophase_session_fit(other, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    CHECK(cophase_session_fit(other, &frames, 1, NULL, s->fitted_nm, NULL, s->modes, NULL, 0, NULL, 0) == COPHASE_OK);
     cophase_session_destroy(other);
     cophase_sequence_destroy(sequence);
 }

@@ -79,6 +79,18 @@ classdef Handle < handle
             end
         end
 
+        function number = channel_number(channels, channel)
+            % Number, from 1, of a channel that is given by its name or number.
+            number = channel;
+            if ischar(channel)
+                number = find(strcmp(channels, channel));
+                if isempty(number)
+                    error('cophase:BAD_VALUE', 'the channel is ''%s'': one of %s is accepted', channel, ...
+                        strjoin(channels', ', '));
+                end
+            end
+        end
+
         function maps = maps(values, rows, cols)
             % Maps (y, x, k) of a column in C order.
             maps = permute(reshape(values, cols, rows, []), [2 1 3]);

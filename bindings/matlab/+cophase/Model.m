@@ -1,7 +1,7 @@
 classdef Model < cophase.Handle
-    %MODEL  Model of an image: telescope, modes, diversity, camera.
+    %MODEL  Model of the images of a wavefront: telescope, modes, and of each channel diversity and camera.
     %   m = cophase.Model(scene) builds the model of a scene: a TOML file, the name of a preset (cophase.preset), or TOML
-    %   text. This takes about half a second at the size of Keck. Any number of sessions can use it.
+    %   text. This takes about half a second for each channel at the size of Keck. Any number of sessions can use it.
     %
     %   m = cophase.Model(scene, directory) has the directory of the files that the scene names; that of the scene's file,
     %   or else the working directory, by default.
@@ -28,16 +28,17 @@ classdef Model < cophase.Handle
     %       c(1) = 100;                       % nm of piston of the first segment
     %       imagesc(m.psf(c)), axis image
     %
-    %   See also cophase.Model.from_arrays, cophase.Model.wavefront_nm, cophase.Model.psf, cophase.Session,
-    %   cophase.preset.
+    %   See also cophase.Model.from_arrays, cophase.Model.wavefront_nm, cophase.Model.psf, cophase.Model.channel,
+    %   cophase.Session, cophase.preset.
 
     properties (SetAccess = private)
         modes         % number of modes, which is the number of coefficients of an image
         segment_modes % number of modes that move segments; they come first, the others are NCPA modes
         mode_names    % names of the modes, a cell column of text
-        frame_shape   % [rows columns] of a frame
+        channels      % names of the channels, a cell column, in the order of the scene; one empty name if it lists none
+        frame_shape   % [rows columns] of a frame; of several channels, those of the first
         samples       % rows, and columns, of a wavefront map
-        pixels        % rows, and columns, of a PSF: the pixels that are compared
+        pixels        % rows, and columns, of a PSF: the pixels that are compared; of several channels, those of the first
     end
 
     methods
@@ -45,9 +46,9 @@ classdef Model < cophase.Handle
             if nargin < 1
                 error('cophase:BAD_ARGUMENT', 'scene is missing: a file, a preset or the text of a scene is accepted');
             end
-            if isa(scene, 'cophase.JointSession')
-                % The model of one of its channels, whose number stands in the place of the directory.
-                self.create('joint_session.model', cophase.Handle.number(scene), directory);
+            if isa(scene, 'cophase.Model')
+                % The model of one of its channels, whose number stands in the place of the directory: see channel.
+                self.create('model.channel', cophase.Handle.number(scene), directory);
             else
                 [text, folder] = cophase.Handle.read_scene(scene);
                 if nargin < 2 || isempty(directory)
@@ -59,9 +60,23 @@ classdef Model < cophase.Handle
             self.modes = info.modes;
             self.segment_modes = info.segment_modes;
             self.mode_names = cophase_mex('model.names', self.id);
+            self.channels = cophase_mex('model.channels', self.id);
             self.frame_shape = [info.rows, info.cols];
             self.samples = info.samples;
             self.pixels = info.pixels;
+        end
+
+        function model = channel(self, channel)
+            %CHANNEL  Model of one of the channels.
+            %   model = m.channel(channel) has the size of its frames and its PSF; channel is a name or a number from 1. All
+            %   channels have the same modes.
+            %
+            %   Example:
+            %       m = cophase.Model(cophase.preset('keck-pair'));
+            %       imagesc(m.channel('minus').psf(zeros(m.modes, 1))), axis image
+            %
+            %   See also cophase.Model.psf, cophase.Session.fit.
+            model = cophase.Model(self, cophase.Handle.channel_number(self.channels, channel));
         end
 
         function [phasing_nm, ncpa_nm] = wavefront_nm(self, coefficients_nm)
@@ -83,7 +98,7 @@ classdef Model < cophase.Handle
         function image = psf(self, coefficients_nm)
             %PSF  PSF of some coefficients, with the diversity.
             %   image = m.psf(c) returns the PSF of coefficients of m.modes elements, nm, on m.pixels rows and columns.
-            %   Its sum over an unbounded detector would be 1.
+            %   Its sum over an unbounded detector would be 1. Of several channels, m.channel gives the model of one.
             %
             %   Example:
             %       imagesc(m.psf(zeros(m.modes, 1))), axis image

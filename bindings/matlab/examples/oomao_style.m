@@ -27,7 +27,8 @@ function [c, truth_nm] = oomao_style()
     frame(middle, middle) = photons + sqrt(photons) .* randn(size(psf));
 
     [c, report] = session.fit(single(frame), 'read_noise_e', 1);
-    sigma_nm = sqrt(diag(session.covariance_nm2()));
+    [~, covariance_nm2] = session.refine();
+    sigma_nm = sqrt(diag(covariance_nm2));
     fprintf('%s after %d evaluations\n', report.status, report.evaluations);
     for mode = 1:model.modes
         fprintf('%-8s %8.2f nm, estimated %8.2f +- %.2f nm\n', ...

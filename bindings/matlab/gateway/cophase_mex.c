@@ -88,8 +88,7 @@ static const command COMMANDS[] = {
 };
 
 static const command *const TABLES[] = {
-    COMMANDS, MODEL_COMMANDS, ESTIMATE_COMMANDS, SESSION_COMMANDS, JOINT_SESSION_COMMANDS,
-    SEQUENCE_COMMANDS, SIMULATOR_COMMANDS,
+    COMMANDS, MODEL_COMMANDS, ESTIMATE_COMMANDS, SESSION_COMMANDS, SEQUENCE_COMMANDS, SIMULATOR_COMMANDS,
 };
 
 static const command *command_of(const char *name, int inputs)
@@ -113,7 +112,7 @@ void mexFunction(int outputs, mxArray **out, int inputs, const mxArray **in)
     if (cophase_abi_version() != COPHASE_ABI_VERSION)
         fail(COPHASE_BAD_FILE, "libcophase has the C interface %u where cophase_mex was built for %u: run build again",
              (unsigned)cophase_abi_version(), (unsigned)COPHASE_ABI_VERSION);
-    if (name == NULL || outputs > 2)
+    if (name == NULL || outputs > 4)
         fail(COPHASE_BAD_ARGUMENT, "cophase_mex is for the classes in +cophase only: use those");
     command_of(name, inputs - 1)->run(outputs, out, inputs - 1, in + 1);
 }

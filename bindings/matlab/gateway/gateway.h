@@ -19,8 +19,7 @@ typedef struct command {
 } command;
 
 /* Each ends with a name of NULL. */
-extern const command MODEL_COMMANDS[], ESTIMATE_COMMANDS[], SESSION_COMMANDS[], JOINT_SESSION_COMMANDS[],
-    SEQUENCE_COMMANDS[], SIMULATOR_COMMANDS[];
+extern const command MODEL_COMMANDS[], ESTIMATE_COMMANDS[], SESSION_COMMANDS[], SEQUENCE_COMMANDS[], SIMULATOR_COMMANDS[];
 
 /* For `most`: any number of arguments. */
 #define ANY_NUMBER 1000
@@ -68,15 +67,6 @@ void options(int inputs, const mxArray **in, const char *const *names, const mxA
 cophase_calibration calibration_of(const mxArray *dark, const mxArray *flat, const mxArray *bad, const mxArray *gain_e,
                                    const mxArray *saturation);
 
-/* Names of its options, which end with NULL (session.c). */
-extern const char *const CALIBRATION[];
-
-/* Options of a session, and where `directory` is not NULL of a session of several channels (session.c). */
-cophase_session_options session_options_of(int inputs, const mxArray **in, const mxArray **directory);
-
-/* Options of a fit of `count` images (session.c). */
-cophase_fit_options fit_options_of(int inputs, const mxArray **in, size_t modes, size_t count);
-
 /* Numbers of the header by name; lists end with a name of NULL. */
 typedef struct constant_name {
     const char *name;
@@ -120,14 +110,15 @@ mxArray *structs(const field *fields, const void *items, size_t size, size_t cou
  * MATLAB holds numbers that are never used again, not pointers. So a number that is stale, made up, or of an object of
  * another class is refused. */
 
-typedef enum noun { MODEL, ESTIMATOR, ESTIMATE, SESSION, SEQUENCE, SIMULATOR, JOINT_SESSION } noun;
+typedef enum noun { MODEL, ESTIMATOR, ESTIMATE, SESSION, SEQUENCE, SIMULATOR } noun;
 
 typedef struct live {
     double id;
     noun noun;
     void *object;
-    size_t modes;  /* of a model, a session, a sequence: number of coefficients */
-    size_t images; /* of a session: number of images of the last fit */
+    size_t modes;    /* of a model, a session, a sequence: number of coefficients */
+    size_t channels; /* of a model, a session */
+    size_t groups;   /* of a session: number of groups of the last fit */
     struct live *next;
 } live;
 

@@ -5,7 +5,7 @@
 static live *all_live = NULL;
 static double last_id = 0.0;
 
-static const char *const CLASSES[] = {"Model", "Estimator", "Estimate", "Session", "Sequence", "Simulator", "JointSession"};
+static const char *const CLASSES[] = {"Model", "Estimator", "Estimate", "Session", "Sequence", "Simulator"};
 
 static void destroy_object(noun noun, void *object)
 {
@@ -28,9 +28,6 @@ static void destroy_object(noun noun, void *object)
     case SIMULATOR:
         cophase_simulator_destroy((cophase_simulator *)object);
         break;
-    case JOINT_SESSION:
-        cophase_joint_session_destroy((cophase_joint_session *)object);
-        break;
     }
 }
 
@@ -47,7 +44,8 @@ mxArray *handle_new(noun noun, void *object, size_t modes)
     born->noun = noun;
     born->object = object;
     born->modes = modes;
-    born->images = 0;
+    born->channels = 1;
+    born->groups = 0;
     born->next = all_live;
     all_live = born;
     /* `clear mex` must not unload a library whose objects are in use. */

@@ -34,6 +34,31 @@ static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in
         cophase_model_destroy(model);
     check(status);
     out[0] = handle_new(MODEL, model, info.modes);
+    handle_of(out[0], MODEL)->channels = info.channels;
+}
+
+/* (model, channel): the model of a channel, which MATLAB counts from 1. */
+static void do_channel(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const live *model = handle_of(in[0], MODEL);
+    cophase_model *channel;
+
+    check(cophase_model_channel((const cophase_model *)model->object, whole(in[1], 1, "the channel") - 1, NULL, &channel));
+    out[0] = handle_new(MODEL, channel, model->modes);
+}
+
+/* (model): names of its channels, a cell column. */
+static void do_channels(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const live *model = handle_of(in[0], MODEL);
+    const char *name;
+    size_t channel;
+
+    out[0] = mxCreateCellMatrix(model->channels, 1);
+    for (channel = 0; channel < model->channels; channel++) {
+        check(cophase_model_channel((const cophase_model *)model->object, channel, &name, NULL));
+        mxSetCell(out[0], channel, mxCreateString(name));
+    }
 }
 
 #define T cophase_model_info
@@ -102,6 +127,8 @@ static void do_psf(int outputs, mxArray **out, int inputs, const mxArray **in)
 
 const command MODEL_COMMANDS[] = {
     {"model.create", 2, ANY_NUMBER, do_create},
+    {"model.channel", 2, 2, do_channel},
+    {"model.channels", 1, 1, do_channels},
     {"model.info", 1, 1, do_info},
     {"model.names", 1, 1, do_names},
     {"model.wavefront_nm", 2, 2, do_wavefront_nm},

@@ -5,22 +5,17 @@ static cophase_session *session_of(const live *session) { return (cophase_sessio
 
 static const char *const SESSION_OPTIONS[] = {"capacity",        "precision",         "device", "threads",
                                               "max_evaluations", "step_tolerance_nm", NULL};
-/* The session of several channels has another first option. */
-static const char *const JOINT_SESSION_OPTIONS[] = {"directory",       "precision",         "device", "threads",
-                                                    "max_evaluations", "step_tolerance_nm", NULL};
-enum { CAPACITY, DIRECTORY = CAPACITY, PRECISION, DEVICE, THREADS, MAX_EVALUATIONS, STEP_TOLERANCE_NM, SESSION_OPTION_COUNT };
+enum { CAPACITY, PRECISION, DEVICE, THREADS, MAX_EVALUATIONS, STEP_TOLERANCE_NM, SESSION_OPTION_COUNT };
 
-cophase_session_options session_options_of(int inputs, const mxArray **in, const mxArray **directory)
+static cophase_session_options session_options_of(int inputs, const mxArray **in)
 {
     const mxArray *given[SESSION_OPTION_COUNT];
     cophase_session_options chosen_options = {0};
 
-    options(inputs, in, directory == NULL ? SESSION_OPTIONS : JOINT_SESSION_OPTIONS, given);
-    if (directory != NULL)
-        *directory = given[DIRECTORY];
+    options(inputs, in, SESSION_OPTIONS, given);
     chosen_options.struct_size = sizeof chosen_options;
     chosen_options.device = text(given[DEVICE], "device");
-    if (directory == NULL && given[CAPACITY] != NULL)
+    if (given[CAPACITY] != NULL)
         chosen_options.capacity = whole(given[CAPACITY], 1, "capacity");
     if (given[PRECISION] != NULL)
         chosen_options.precision = choice(given[PRECISION], PRECISIONS, "precision");
@@ -37,12 +32,16 @@ cophase_session_options session_options_of(int inputs, const mxArray **in, const
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *model = handle_of(in[0], MODEL);
-    const cophase_session_options chosen_options = session_options_of(inputs - 1, in + 1, NULL);
+    const cophase_session_options chosen_options = session_options_of(inputs - 1, in + 1);
     cophase_session *session;
 
     check(cophase_session_create((const cophase_model *)model->object, &chosen_options, &session));
     out[0] = handle_new(SESSION, session, model->modes);
+    handle_of(out[0], SESSION)->channels = model->channels;
 }
+
+/* A channel, which MATLAB counts from 1. */
+static size_t channel_of(const mxArray *value) { return whole(value, 1, "the channel") - 1; }
 
 cophase_calibration calibration_of(const mxArray *dark, const mxArray *flat, const mxArray *bad, const mxArray *gain_e,
                                    const mxArray *saturation)
@@ -63,24 +62,24 @@ cophase_calibration calibration_of(const mxArray *dark, const mxArray *flat, con
     return calibration;
 }
 
-const char *const CALIBRATION[] = {"dark", "flat", "bad", "gain_e", "saturation", NULL};
+static const char *const CALIBRATION[] = {"dark", "flat", "bad", "gain_e", "saturation", NULL};
 
-/* (session, 'dark', dark, ...); without options frames are electrons. */
+/* (session, channel, 'dark', dark, ...); without options frames are electrons. */
 static void do_calibrate(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *session = handle_of(in[0], SESSION);
     const mxArray *given[5];
     cophase_calibration calibration;
 
-    options(inputs - 1, in + 1, CALIBRATION, given);
+    options(inputs - 2, in + 2, CALIBRATION, given);
     calibration = calibration_of(given[0], given[1], given[2], given[3], given[4]);
-    check(cophase_session_calibrate(session_of(session), &calibration));
+    check(cophase_session_calibrate(session_of(session), channel_of(in[1]), &calibration));
 }
 
 static const char *const FIT_OPTIONS[] = {"deadline_s", "read_noise_e", "start_nm", NULL};
 enum { DEADLINE_S, READ_NOISE_E, START_NM, FIT_OPTION_COUNT };
 
-cophase_fit_options fit_options_of(int inputs, const mxArray **in, size_t modes, size_t count)
+static cophase_fit_options fit_options_of(int inputs, const mxArray **in, size_t modes, size_t count)
 {
     const mxArray *given[FIT_OPTION_COUNT];
     cophase_fit_options chosen_options = {0};
@@ -98,19 +97,22 @@ cophase_fit_options fit_options_of(int inputs, const mxArray **in, size_t modes,
 
 typedef struct job {
     cophase_session *session;
-    cophase_input frames;
+    cophase_input *frames;
+    size_t channels;
     cophase_fit_options options;
-    double *coefficients_nm;
+    double *coefficients_nm, *sigma_nm;
     size_t modes;
-    cophase_image_report *reports;
+    cophase_image_report *images;
+    cophase_group_report *groups;
 } job;
 
 static cophase_status work(void *argument)
 {
     const job *job = (const struct job *)argument;
 
-    return cophase_session_fit(job->session, &job->frames, &job->options, job->coefficients_nm, job->modes, job->reports,
-                               sizeof(cophase_image_report));
+    return cophase_session_fit(job->session, job->frames, job->channels, &job->options, job->coefficients_nm,
+                               job->sigma_nm, job->modes, job->images, sizeof(cophase_image_report), job->groups,
+                               sizeof(cophase_group_report));
 }
 
 static cophase_status cancel(const void *session)
@@ -128,35 +130,59 @@ const field IMAGE_REPORT[] = {
 };
 #undef T
 
-/* (session, frames, 'deadline_s', ...): coefficients, a column for each frame, and a report on each. */
+#define T cophase_group_report
+static const field GROUP_REPORT[] = {
+    FIELD(T, status, IS_STATUS), FIELD(T, is_contradictory, IS_LOGICAL), FIELD(T, reduced_chi2, IS_DOUBLE),
+    FIELD(T, freedom, IS_DOUBLE), FIELD(T, piston_probability, IS_DOUBLE), FIELD(T, seconds, IS_DOUBLE), END_OF_FIELDS,
+};
+#undef T
+
+/* (session, cell of the frames of each channel, 'deadline_s', ...): coefficients, a column for each group; reports on the images, group by
+ * group; reports on the groups; error bars, as the coefficients. */
 static void do_fit(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     live *session = handle_of(in[0], SESSION);
     job job;
+    mxArray *sigma_nm;
+    size_t i, count;
 
+    if (!mxIsCell(in[1]) || mxIsEmpty(in[1]))
+        fail(COPHASE_BAD_ARGUMENT, "frames is no cell of the frames of each channel");
     job.session = session_of(session);
-    job.frames = input(in[1], "frames");
+    job.channels = mxGetNumberOfElements(in[1]);
+    job.frames = (cophase_input *)mxCalloc(job.channels, sizeof(cophase_input));
+    for (i = 0; i < job.channels; i++)
+        job.frames[i] = input(mxGetCell(in[1], i), "frames");
+    count = job.frames[0].count;
     job.modes = session->modes;
-    job.options = fit_options_of(inputs - 2, in + 2, job.modes, job.frames.count);
-    job.reports = (cophase_image_report *)mxCalloc(job.frames.count, sizeof(cophase_image_report));
-    out[0] = mxCreateDoubleMatrix(job.modes, job.frames.count, mxREAL);
+    job.options = fit_options_of(inputs - 2, in + 2, job.modes, count);
+    job.images = (cophase_image_report *)mxCalloc(count * job.channels, sizeof(cophase_image_report));
+    job.groups = (cophase_group_report *)mxCalloc(count, sizeof(cophase_group_report));
+    out[0] = mxCreateDoubleMatrix(job.modes, count, mxREAL);
     job.coefficients_nm = mxGetPr(out[0]);
-    session->images = 0;
+    sigma_nm = mxCreateDoubleMatrix(job.modes, count, mxREAL);
+    job.sigma_nm = mxGetPr(sigma_nm);
+    session->groups = 0;
     interruptible(cancel, job.session, work, &job);
-    session->images = job.frames.count;
+    session->groups = count;
     if (outputs > 1)
-        out[1] = structs(IMAGE_REPORT, job.reports, sizeof(cophase_image_report), job.frames.count);
+        out[1] = structs(IMAGE_REPORT, job.images, sizeof(cophase_image_report), count * job.channels);
+    if (outputs > 2)
+        out[2] = structs(GROUP_REPORT, job.groups, sizeof(cophase_group_report), count);
+    if (outputs > 3)
+        out[3] = sigma_nm;
 }
 
-/* An image of the last fit, which MATLAB counts from 1. */
-static size_t image_of(const live *session, const mxArray *value)
+/* A group of the last fit, which is an image with one channel, and which MATLAB counts from 1. */
+static size_t group_of(const live *session, const mxArray *value)
 {
-    const size_t image = whole(value, 1, "the image");
+    const char *const name = session->channels == 1 ? "the image" : "the group";
+    const size_t group = whole(value, 1, name);
 
-    if (session->images > 0 && image > session->images)
-        fail(COPHASE_BAD_VALUE, "the image is %lu: up to %lu is accepted, the images of the last fit",
-             (unsigned long)image, (unsigned long)session->images);
-    return image - 1;
+    if (session->groups > 0 && group > session->groups)
+        fail(COPHASE_BAD_VALUE, "%s is %lu: up to %lu is accepted, those of the last fit", name, (unsigned long)group,
+             (unsigned long)session->groups);
+    return group - 1;
 }
 
 static cophase_status session_text(const void *object, int32_t what, size_t index, char *text, size_t capacity,
@@ -173,40 +199,48 @@ static const constant_name TEXTS[] = {
     {NULL, 0},
 };
 
-/* (session, 'IMAGE_MESSAGE', image): a text. */
+/* (session, 'IMAGE_MESSAGE', group, channel): a text. */
 static void do_text(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *session = handle_of(in[0], SESSION);
+    const size_t index = group_of(session, in[2]) * session->channels + channel_of(in[3]);
 
-    out[0] = long_text(session_text, session_of(session), choice(in[1], TEXTS, "the name"), image_of(session, in[2]));
+    out[0] = long_text(session_text, session_of(session), choice(in[1], TEXTS, "the name"), index);
 }
 
-/* (session, image): modes x modes, nm^2. */
-static void do_covariance_nm2(int outputs, mxArray **out, int inputs, const mxArray **in)
+/* (session, group): coefficients; covariance, modes x modes, nm^2; report. */
+static void do_refine(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *session = handle_of(in[0], SESSION);
-    const size_t image = image_of(session, in[1]);
+    const size_t group = group_of(session, in[1]);
+    mxArray *covariance_nm2 = mxCreateDoubleMatrix(session->modes, session->modes, mxREAL);
+    cophase_group_report report;
 
-    out[0] = mxCreateDoubleMatrix(session->modes, session->modes, mxREAL);
+    out[0] = mxCreateDoubleMatrix(session->modes, 1, mxREAL);
     /* Symmetric: rows are columns. */
-    check(cophase_session_covariance_nm2(session_of(session), image, mxGetPr(out[0]), session->modes));
+    check(cophase_session_refine(session_of(session), group, mxGetPr(out[0]), mxGetPr(covariance_nm2), session->modes, &report,
+                                 sizeof report));
+    if (outputs > 1)
+        out[1] = covariance_nm2;
+    if (outputs > 2)
+        out[2] = structs(GROUP_REPORT, &report, sizeof report, 1);
 }
 
-/* (session, coefficients_nm, frames or [], 'read_noise_e', ...): objectives in a row, and their gradients in columns. */
+/* (session, channel, coefficients_nm, frames or [], 'read_noise_e', ...): objectives in a row, and their gradients in columns. */
 static void do_evaluate(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *session = handle_of(in[0], SESSION);
-    const int row = mxGetM(in[1]) == 1 && mxGetN(in[1]) == session->modes;
-    const size_t count = row ? 1 : mxGetN(in[1]);
-    const double *coefficients_nm = doubles(in[1], session->modes, count, "coefficients_nm");
-    const cophase_fit_options chosen_options = fit_options_of(inputs - 3, in + 3, session->modes, count);
+    const int row = mxGetM(in[2]) == 1 && mxGetN(in[2]) == session->modes;
+    const size_t count = row ? 1 : mxGetN(in[2]);
+    const double *coefficients_nm = doubles(in[2], session->modes, count, "coefficients_nm");
+    const cophase_fit_options chosen_options = fit_options_of(inputs - 4, in + 4, session->modes, count);
     mxArray *gradients = mxCreateDoubleMatrix(session->modes, count, mxREAL);
     cophase_input frames;
 
-    if (!mxIsEmpty(in[2]))
-        frames = input(in[2], "frames");
+    if (!mxIsEmpty(in[3]))
+        frames = input(in[3], "frames");
     out[0] = mxCreateDoubleMatrix(1, count, mxREAL);
-    check(cophase_session_evaluate(session_of(session), mxIsEmpty(in[2]) ? NULL : &frames, &chosen_options,
+    check(cophase_session_evaluate(session_of(session), channel_of(in[1]), mxIsEmpty(in[3]) ? NULL : &frames, &chosen_options,
                                    coefficients_nm, count, session->modes, mxGetPr(out[0]), mxGetPr(gradients)));
     if (outputs > 1)
         out[1] = gradients;
@@ -214,10 +248,10 @@ static void do_evaluate(int outputs, mxArray **out, int inputs, const mxArray **
 
 const command SESSION_COMMANDS[] = {
     {"session.create", 1, ANY_NUMBER, do_create},
-    {"session.calibrate", 1, ANY_NUMBER, do_calibrate},
+    {"session.calibrate", 2, ANY_NUMBER, do_calibrate},
     {"session.fit", 2, ANY_NUMBER, do_fit},
-    {"session.text", 3, 3, do_text},
-    {"session.covariance_nm2", 2, 2, do_covariance_nm2},
-    {"session.evaluate", 3, ANY_NUMBER, do_evaluate},
+    {"session.text", 4, 4, do_text},
+    {"session.refine", 2, 2, do_refine},
+    {"session.evaluate", 4, ANY_NUMBER, do_evaluate},
     {NULL, 0, 0, NULL},
 };

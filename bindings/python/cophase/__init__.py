@@ -41,10 +41,9 @@ from .errors import (
 )
 from .estimate import Correction, Estimate
 from .estimator import Estimator, Progress
-from .joint_session import JointFit, JointSession
 from .model import Model
 from .sequence import Sequence, SequenceEstimate
-from .session import Fit, Session
+from .session import Fit, RefinedFit, Session
 from .session_factory import SessionFactory
 from .simulator import Simulator
 
@@ -64,11 +63,10 @@ __all__ = [
     "Fit",
     "InternalError",
     "Interrupted",
-    "JointFit",
-    "JointSession",
     "Model",
     "PanicError",
     "Progress",
+    "RefinedFit",
     "Sequence",
     "SequenceEstimate",
     "Session",

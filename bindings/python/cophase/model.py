@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Inputs, doubles, numbers, output
 from ._handle import Handle
-from ._library import absolute, ffi, lib, path_text, read_scene, result, struct, text, words
+from ._library import absolute, check, ffi, lib, path_text, read_scene, result, struct, text, words
 
 
 class Model(Handle):
-    """Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it.
+    """Model of the images of a wavefront: telescope, modes, and of each channel diversity and camera. Immutable: any number of threads
+    may use it.
 
-    Building it takes about half a second at the size of Keck. Its sessions and sequences stay usable when it is closed. It
+    Building it takes about half a second for each channel at the size of Keck. Its sessions and sequences stay usable when it is closed. It
     pickles as its scene, and is built again where it is unpickled; a model from arrays does not.
 
     Parameters
@@ -35,13 +36,15 @@ class Model(Handle):
         Number of modes that move segments; they come first, the others are NCPA modes.
     mode_names : list of str
         Names of the modes.
+    channels : list of str
+        Names of the channels (``[[image.channel]]``), in the order of the scene; one empty name for a scene that lists none.
     frame_shape : (int, int)
-        Rows and columns of a frame.
+        Rows and columns of a frame; of several channels, those of the first.
     samples : int
         Rows, and columns, of a wavefront map.
     pixels : int
         Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's
-        sampling.
+        sampling; of several channels, those of the first.
 
     Raises
     ------
@@ -105,12 +108,19 @@ class Model(Handle):
         inputs = (text("scene", scene_text), path_text("directory", directory), pointer)
         self._read(lib.cophase_model_create, *inputs)
 
-    @classmethod
-    def _of(cls, create: Any, *inputs: Any) -> Model:
-        """The model that a function of the library makes of ``inputs``."""
-        self = cls.__new__(cls)
-        self._read(create, *inputs)
-        return self
+    def channel(self, channel: str | int) -> Model:
+        """Model of one of the channels, by its name or number: the size of its frames, its PSF. All have the same modes."""
+        model = Model.__new__(Model)
+        model._read(lib.cophase_model_channel, self._handle, self._number(channel), ffi.NULL)
+        return model
+
+    def _number(self, channel: str | int) -> int:
+        """The number of a channel."""
+        if not isinstance(channel, str):
+            return channel
+        if channel not in self.channels:
+            raise ValueError(f"the channel is {channel!r}: one of {self.channels} is accepted")
+        return self.channels.index(channel)
 
     def _read(self, create: Any, *inputs: Any) -> None:
         """Owns the model that ``create`` makes, and reads its sizes."""
@@ -123,10 +133,17 @@ class Model(Handle):
         self.pixels: int = info.pixels
         name = lib.cophase_model_mode_name
         self.mode_names: list[str] = [words(result("char *", name, self._handle, k)) for k in range(self.modes)]
+        self.channels: list[str] = [self._channel_name(channel) for channel in range(info.channels)]
+
+    def _channel_name(self, channel: int) -> str:
+        name = ffi.new("char **")
+        check(lib.cophase_model_channel(self._handle, channel, name, ffi.NULL))
+        return words(name[0])
 
     def _summary(self) -> str:
         rows, cols = self.frame_shape
-        return f"{self.modes} modes, {self.segment_modes} of segments; frames of {rows} x {cols}"
+        channels = "" if len(self.channels) == 1 else f", channels {', '.join(self.channels)}"
+        return f"{self.modes} modes, {self.segment_modes} of segments; frames of {rows} x {cols}{channels}"
 
     def wavefront_nm(self, coefficients_nm: ArrayLike) -> NDArray[np.float64]:
         """Wavefront of some coefficients.
@@ -146,7 +163,7 @@ class Model(Handle):
         return output(shape, lib.cophase_model_wavefront_nm, self._handle, doubles(given), given.size)
 
     def psf(self, coefficients_nm: ArrayLike) -> NDArray[np.float64]:
-        """PSF of some coefficients, with the diversity.
+        """PSF of some coefficients, with the diversity; of several channels, :meth:`channel` gives the model of one.
 
         Parameters
         ----------

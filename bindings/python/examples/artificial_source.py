@@ -58,7 +58,7 @@ frame_e = random.poisson(frame_e) + read_noise_e * random.standard_normal(frame_
 # %%
 session = cophase.Session(model, threads=-1)
 fit = session.fit(frame_e, read_noise_e=read_noise_e)
-covariance_nm2 = session.covariance_nm2()
+covariance_nm2 = session.refine().covariance_nm2
 report = fit.reports
 print(
     f"{fit.status}: reduced chi squared {report.reduced_chi2:.3f}, {report.evaluations} evaluations, {report.seconds:.2f} s"

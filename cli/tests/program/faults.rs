@@ -217,7 +217,8 @@ fn a_thread_that_panics_is_a_status_of_the_c_call() {
         let mut coefficients_nm = vec![7.0; 2 * modes];
         for _ in 0..2 {
             let out = coefficients_nm.as_mut_ptr();
-            let status = cophase_session_fit(session, &array, null(), out, modes, null_mut(), 0);
+            let (sigma, images, groups) = (null_mut(), null_mut(), null_mut());
+            let status = cophase_session_fit(session, &array, 1, null(), out, sigma, modes, images, 0, groups, 0);
             assert_eq!(status, COPHASE_PANIC);
         }
         assert!(coefficients_nm.iter().all(|&nm| nm == 7.0));

@@ -32,8 +32,8 @@ fn watch_takes_each_file_once_and_agrees_with_an_estimate() {
     let pointing = fitter.pointing().unwrap();
     let mut session = cophase::modal::Session::new(fitter, &Default::default()).unwrap();
     let image = FitsReader::open(made(&desk, 1)).unwrap().cube("IMAGES").unwrap();
-    session.frame_mut(0).unwrap().0.assign(&image.index_axis(ndarray::Axis(0), 0));
-    session.frame_mut(0).unwrap().1.fill(false);
+    session.frame_mut(0, 0).unwrap().0.assign(&image.index_axis(ndarray::Axis(0), 0));
+    session.frame_mut(0, 0).unwrap().1.fill(false);
     let options = cophase::modal::FitOptions { read_noise_e: Some(20.0), ..Default::default() };
     session.fit(1, &options).unwrap();
     // Without the pointing, which is tip and tilt alone.

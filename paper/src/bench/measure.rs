@@ -93,12 +93,12 @@ fn evaluations(
     draws: &[Draw],
     progress: &Progress,
 ) -> Result<(Spread, f64)> {
-    let (batch, modes) = (variant.batch, session.estimator().model().optics.modes());
+    let (batch, modes) = (variant.batch, session.fitters().first().model().optics.modes());
     write(session, draws, 0, batch)?;
-    session.load(batch, None)?;
+    session.load(0, batch, None)?;
     let places: Vec<Array2<f64>> = (0..PLACES).map(|number| place(number, batch, modes)).collect();
     let (mut objectives, mut gradients) = (vec![0.0; batch], vec![0.0; batch * modes]);
-    session.evaluate(places[0].view(), &mut objectives, &mut gradients)?;
+    session.evaluate(0, places[0].view(), &mut objectives, &mut gradients)?;
     let error = |(found, reference): (&[f64], ndarray::ArrayView1<f64>)| {
         let largest = reference.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
         found.iter().zip(reference).fold(0.0, |worst: f64, (found, reference)| worst.max((found - reference).abs()))
@@ -111,7 +111,7 @@ fn evaluations(
         progress.check()?;
         let (mut calls, started) = (0, Instant::now());
         while calls == 0 || started.elapsed() < ROUND {
-            session.evaluate(places[calls % PLACES].view(), &mut objectives, &mut gradients)?;
+            session.evaluate(0, places[calls % PLACES].view(), &mut objectives, &mut gradients)?;
             calls += 1;
         }
         seconds.push(started.elapsed().as_secs_f64() / (calls * batch) as f64);
@@ -153,7 +153,7 @@ fn fits(
         // The first fit touches memory, and on a device compiles for shapes that it has not seen: it is not timed.
         session.fit(batch, &options)?;
         for (image, draw) in draws[first..].iter().take(batch).enumerate() {
-            let result = &session.results()[image].report;
+            let result = &session.channels()[0].results()[image].report;
             evaluations.push(result.evaluations as f64);
             let Some(found) = fitted(session, image) else { continue };
             chi2.push(result.reduced_chi2);

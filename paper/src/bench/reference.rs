@@ -21,11 +21,11 @@ impl Reference {
         let options = SessionOptions { capacity: draws.len(), threads: 0, ..SessionOptions::default() };
         let mut session = Session::new(case.estimator.clone(), &options)?;
         write(&mut session, draws, 0, draws.len())?;
-        session.load(draws.len(), None)?;
+        session.load(0, draws.len(), None)?;
         let modes = case.estimator.model().optics.modes();
         let (mut objectives, mut gradients) = (vec![0.0; draws.len()], Array2::zeros((draws.len(), modes)));
         let at = place(0, draws.len(), modes);
-        session.evaluate(at.view(), &mut objectives, gradients.as_slice_mut().unwrap_or_default())?;
+        session.evaluate(0, at.view(), &mut objectives, gradients.as_slice_mut().unwrap_or_default())?;
         session.fit(draws.len(), &FitOptions::default())?;
         let coefficients_nm = (0..draws.len()).map(|image| fitted(&session, image)).collect();
         Ok(Self { coefficients_nm, gradients })
@@ -35,7 +35,7 @@ impl Reference {
 /// Writes `count` frames: the draws from number `first` on, over and over.
 pub(super) fn write(session: &mut Session, draws: &[Draw], first: usize, count: usize) -> Result<()> {
     for image in 0..count {
-        let (mut frame_e, mut bad) = session.frame_mut(image)?;
+        let (mut frame_e, mut bad) = session.frame_mut(image, 0)?;
         frame_e.assign(&draws[(first + image) % draws.len()].image_e);
         bad.fill(false);
     }

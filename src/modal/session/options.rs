@@ -1,17 +1,18 @@
 //! Options and results of a session.
 
+use super::super::integers::PistonInteger;
 use super::super::prepare::Refusal;
 use super::super::status::{ImageReport, Status, unfitted_report};
 use crate::imaging::{Choice, Precision};
 use crate::optimize::StopReason;
 use crate::{Error, Result};
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2};
 use std::time::Duration;
 
 /// Options of a [`Session`](super::Session).
 #[derive(Debug, Clone)]
 pub struct SessionOptions {
-    /// Largest number of images of a call; 1 by default.
+    /// Largest number of groups of a call, which are images with one channel; 1 by default.
     pub capacity: usize,
     /// Precision of the chain; `None`, the default, for the scene's (`estimate.precision`).
     pub precision: Option<Precision>,
@@ -61,11 +62,106 @@ pub struct FitOptions<'a> {
     /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the scatter of
     /// the frame's border.
     pub read_noise_e: Option<f64>,
-    /// Where each fit starts, `[image, mode]`, nm; `None` is the flat wavefront.
+    /// Start of the fits of each group, `[group, mode]`, nm; `None` is the flat wavefront.
     pub start_nm: Option<ArrayView2<'a, f64>>,
 }
 
-/// Result of one image.
+impl FitOptions<'_> {
+    /// Checks the options of a fit of `count` groups.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a start of another shape, [`Error::Value`] for the first number out of range.
+    pub(super) fn check(&self, count: usize, modes: usize) -> Result<()> {
+        check_read_noise(self.read_noise_e)?;
+        let Some(start_nm) = self.start_nm else { return Ok(()) };
+        let (rows, columns) = start_nm.dim();
+        if (rows, columns) != (count, modes) {
+            return Err(Error::Shape(format!(
+                "a start of {rows}x{columns} was given, where {count}x{modes} is needed"
+            )));
+        }
+        match start_nm.indexed_iter().find(|(_, nm)| !nm.is_finite()) {
+            Some(((image, mode), nm)) => Err(Error::Value(format!(
+                "coefficient {mode} of the start of image {image} is {nm}, where a finite number is needed"
+            ))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Checks a caller's read noise.
+///
+/// # Errors
+/// [`Error::Value`] for one out of range.
+pub(super) fn check_read_noise(given: Option<f64>) -> Result<()> {
+    match given.filter(|read_noise_e| !(*read_noise_e >= 0.0 && read_noise_e.is_finite())) {
+        Some(read_noise_e) => Err(Error::Value(format!(
+            "a read noise of {read_noise_e} electrons was given, where a finite number of 0 or more is needed"
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// Result of a group: one frame of each channel.
+#[derive(Debug, Clone)]
+pub struct GroupResult {
+    /// Every mode, nm, pistons about their mean over the pupil: in one channel those of its [`ImageResult`]; in several the modes that
+    /// they have in common, NaN unless the fits of all converged.
+    pub coefficients_nm: Vec<f64>,
+    /// Error bar of each mode of several channels, 1σ, nm: from the information at the flat wavefront, scaled by the root of χ² where a
+    /// channel's model misfits, and where the channels contradict each other. Bad pixels are not left out. NaN in one channel:
+    /// [`Session::refine`](super::Session::refine) has its covariance.
+    pub sigma_nm: Vec<f64>,
+    /// The worst status of the channels.
+    pub status: Status,
+    /// Reduced χ² of the differences of the channels, where noise gives 1, and its degrees of freedom; (NaN, 0) in one channel, and without
+    /// coefficients.
+    pub disagreement: (f64, f64),
+    /// Whether the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, or
+    /// in another minimum.
+    pub is_contradictory: bool,
+    /// Wall-clock time of the fits of its images, s; on a device that of the batch.
+    pub seconds: f64,
+}
+
+impl GroupResult {
+    /// That of a group of `modes` which was not fitted.
+    pub(super) fn new(modes: usize) -> Self {
+        Self {
+            coefficients_nm: vec![f64::NAN; modes],
+            sigma_nm: vec![f64::NAN; modes],
+            status: Status::NotConverged(StopReason::Unfinished),
+            disagreement: (f64::NAN, 0.0),
+            is_contradictory: false,
+            seconds: 0.0,
+        }
+    }
+}
+
+/// Result of a group with its covariance; see [`Session::refine`](super::Session::refine).
+#[derive(Debug, Clone)]
+pub struct RefinedGroup {
+    /// Every mode, nm.
+    pub coefficients_nm: Vec<f64>,
+    /// Its covariance, `[mode, mode]`, nm².
+    pub covariance_nm2: Array2<f64>,
+    /// As in [`GroupResult::disagreement`].
+    pub disagreement: (f64, f64),
+    /// As in [`GroupResult::is_contradictory`].
+    pub is_contradictory: bool,
+    /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
+    pub integers: Vec<PistonInteger>,
+}
+
+impl RefinedGroup {
+    /// That of one channel.
+    pub(super) fn of_one(coefficients_nm: Vec<f64>, covariance_nm2: Array2<f64>) -> Self {
+        let disagreement = (f64::NAN, 0.0);
+        Self { coefficients_nm, covariance_nm2, disagreement, is_contradictory: false, integers: Vec::new() }
+    }
+}
+
+/// Result of the fit of one image.
 #[derive(Debug, Clone)]
 pub struct ImageResult {
     /// Every mode, nm, pistons about their mean over the pupil; NaN where the image could not be used, the start where

@@ -1,9 +1,12 @@
 //! A session whose device is lost.
 
+use super::super::engine::DeviceEngine;
+use super::super::fitter::ModalFitter;
 use super::*;
 use crate::device::tests::test_devices;
-use crate::imaging::{Fallback, Precision};
+use crate::imaging::{Chain, Fallback, Precision};
 use crate::scene::Scene;
+use std::sync::Arc;
 
 /// Warning of a session on a device that `auto` might have selected, before and after it is lost in the midst of a fit; the result
 /// of the fit is the same.
@@ -21,16 +24,16 @@ fn a_session_warns_of_a_lost_device() {
         let Chain::Device { chain: on_device, .. } = &chain else { panic!("a device that was named is opened") };
         let device = on_device.device().clone();
         let guarded = Chain::Auto(Fallback::new(chain, optics));
-        session.engine = Box::new(DeviceEngine::new(guarded));
+        session.channels[0].engine = Box::new(DeviceEngine::new(guarded));
         let mut fit = || {
             for (image, electrons) in made.images_e.outer_iter().enumerate() {
-                let (mut frame, mut bad) = session.frame_mut(image).unwrap();
+                let (mut frame, mut bad) = session.frame_mut(image, 0).unwrap();
                 frame.assign(&electrons);
                 bad.fill(false);
             }
             session.fit(2, &FitOptions::default()).unwrap();
             let found: Vec<f64> = session.results().iter().flat_map(|result| result.coefficients_nm.clone()).collect();
-            (found, session.device_failure().map(str::to_owned))
+            (found, session.channels()[0].device_failure().map(str::to_owned))
         };
         let (before_nm, nothing) = fit();
         assert_eq!(nothing, None);

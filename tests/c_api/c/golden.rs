@@ -61,11 +61,11 @@ fn evaluated(scene: &Path, points_nm: ArrayView2<f64>) -> Vec<f64> {
     let mut session = Session::new(estimator, &SessionOptions { capacity: POINTS, ..Default::default() }).unwrap();
     let image: Array2<f64> = io::read_map(file("inspan.fits.gz"), Some("IMAGES")).unwrap();
     for k in 0..POINTS {
-        session.frame_mut(k).unwrap().0.assign(&image);
+        session.frame_mut(k, 0).unwrap().0.assign(&image);
     }
-    session.load(POINTS, None).unwrap();
+    session.load(0, POINTS, None).unwrap();
     let (mut objectives, mut gradients) = (vec![0.0; POINTS], vec![0.0; points_nm.len()]);
-    session.evaluate(points_nm, &mut objectives, &mut gradients).unwrap();
+    session.evaluate(0, points_nm, &mut objectives, &mut gradients).unwrap();
     objectives.into_iter().chain(gradients).collect()
 }
 

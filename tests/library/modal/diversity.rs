@@ -44,11 +44,11 @@ fn diversity_error_is_in_the_error_bars_of_any_sequence() {
             Session::new(estimator.clone(), &SessionOptions { capacity: 3, ..SessionOptions::default() }).unwrap();
         let mut kept = Accumulator::new(estimator, 3).unwrap();
         for (i, image_e) in images_e.axis_iter(Axis(0)).enumerate() {
-            session.frame_mut(i).unwrap().0.assign(&image_e);
+            session.frame_mut(i, 0).unwrap().0.assign(&image_e);
         }
         session.fit(3, &FitOptions::default()).unwrap();
         kept.push(&session).unwrap();
-        (session.covariance_nm2(0).unwrap(), kept)
+        (session.refine(0).unwrap().covariance_nm2, kept)
     };
     let ((covariance, sure), (wider, unsure)) = (kept(&known), kept(&unsure));
     let image = &known.image;

@@ -3,7 +3,9 @@
 use super::scene;
 use cophase::Error;
 use cophase::imaging::{Chain, Choice, Precision};
-use cophase::modal::{Cube, FitOptions, ModalEstimate, ModalFitter, Refusal, Session, SessionOptions, Status};
+use cophase::modal::{
+    Cube, FitOptions, ImageResult, ModalEstimate, ModalFitter, Refusal, Session, SessionOptions, Status,
+};
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
@@ -21,10 +23,15 @@ fn session(estimator: &Arc<ModalFitter>, options: SessionOptions) -> Session {
     Session::new(estimator.clone(), &SessionOptions { device: Some(Choice::Cpu), ..options }).unwrap()
 }
 
+/// The fits of the images of the only channel.
+fn fitted(session: &Session) -> &[ImageResult] {
+    session.channels()[0].results()
+}
+
 /// Writes images into the frames of a session.
 fn fill(session: &mut Session, images_e: &Array3<f64>) {
     for (i, image_e) in images_e.outer_iter().enumerate() {
-        session.frame_mut(i).unwrap().0.assign(&image_e);
+        session.frame_mut(i, 0).unwrap().0.assign(&image_e);
     }
 }
 
@@ -54,13 +61,13 @@ fn session_has_the_bits_of_the_estimator_at_any_thread_count() {
                 session.fit(count, &FitOptions::default()).unwrap();
                 assert_eq!(session.results().len(), count);
             }
-            for (i, result) in session.results().iter().enumerate() {
+            for (i, result) in fitted(&session).iter().enumerate() {
                 let bits = |values: &[f64]| values.iter().map(|nm| nm.to_bits()).collect::<Vec<_>>();
                 let expected = estimate.image_coefficients_nm.row(i).to_vec();
                 if i == 2 {
                     assert_eq!(result.report.status, Status::Unusable(Refusal::Constant { value: 4.0 }));
                     assert!(result.coefficients_nm.iter().all(|nm| nm.is_nan()));
-                    assert!(matches!(session.covariance_nm2(i), Err(Error::Value(_))));
+                    assert!(matches!(session.refine(i), Err(Error::Value(_))));
                     continue;
                 }
                 assert_eq!(bits(&result.coefficients_nm), bits(&expected), "image {i} of {count}, {threads} threads");
@@ -79,11 +86,12 @@ fn the_covariance_is_that_of_a_single_image() {
     let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = estimator(&scene);
     let mut session = session(&estimator, SessionOptions::default());
-    assert!(matches!(session.covariance_nm2(0), Err(Error::Value(_))));
+    assert!(matches!(session.refine(0), Err(Error::Value(_))));
     fill(&mut session, &images_e);
     session.fit(1, &FitOptions::default()).unwrap();
     // One image: the estimate's covariance is this image's.
-    let (mine, theirs) = (session.covariance_nm2(0).unwrap(), batch(&estimator, &images_e).combined.covariance_nm2);
+    let (mine, theirs) =
+        (session.refine(0).unwrap().covariance_nm2, batch(&estimator, &images_e).combined.covariance_nm2);
     let largest = theirs.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     // The same matrices from the same bits; χ² differs in its last digits.
     assert!((&mine - &theirs).iter().all(|d| d.abs() < 1e-9 * largest));
@@ -100,7 +108,7 @@ fn a_deadline_stops_the_call_with_the_best_so_far() {
     let start_nm = Array2::from_elem((3, estimator.model().optics.modes()), 1.5);
     let late = FitOptions { deadline: Some(Duration::ZERO), start_nm: Some(start_nm.view()), ..FitOptions::default() };
     session.fit(3, &late).unwrap();
-    for result in session.results() {
+    for result in fitted(&session) {
         assert_eq!(result.report.status, Status::NotConverged(StopReason::DeadlineReached));
         assert_eq!(result.report.evaluations, 0);
         assert!(result.coefficients_nm.iter().all(|&nm| nm == 1.5));
@@ -111,11 +119,11 @@ fn a_deadline_stops_the_call_with_the_best_so_far() {
         let options = FitOptions { deadline: Some(Duration::from_micros(microseconds)), ..FitOptions::default() };
         session.fit(3, &options).unwrap();
         let late = |status| matches!(status, Status::NotConverged(StopReason::DeadlineReached));
-        let statuses: Vec<Status> = session.results().iter().map(|result| result.report.status).collect();
+        let statuses: Vec<Status> = fitted(&session).iter().map(|result| result.report.status).collect();
         let first = statuses.iter().position(|&status| late(status));
         let Some(first) = first else { break };
         assert!(statuses[first..].iter().all(|&status| late(status)), "{statuses:?}");
-        assert!(session.results().iter().skip(first + 1).all(|result| result.report.evaluations == 0));
+        assert!(fitted(&session).iter().skip(first + 1).all(|result| result.report.evaluations == 0));
         assert!(session.results()[first].coefficients_nm.iter().all(|nm| nm.is_finite()));
         microseconds *= 2;
     }
@@ -131,7 +139,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
     assert!(matches!(session.fit(1, &FitOptions::default()), Err(Error::Interrupted(_))));
     assert!(session.results().is_empty());
     session.fit(1, &FitOptions::default()).unwrap();
-    assert_eq!(session.results()[0].report.status, Status::Ok);
+    assert_eq!(fitted(&session)[0].report.status, Status::Ok);
 }
 
 #[test]
@@ -141,10 +149,10 @@ fn start_near_the_truth_takes_fewer_evaluations() {
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
     session.fit(1, &FitOptions::default()).unwrap();
-    let cold = session.results()[0].clone();
+    let cold = fitted(&session)[0].clone();
     let start_nm = ndarray::Array1::from(cold.coefficients_nm.clone()).insert_axis(Axis(0));
     session.fit(1, &FitOptions { start_nm: Some(start_nm.view()), ..FitOptions::default() }).unwrap();
-    let warm = &session.results()[0];
+    let warm = &fitted(&session)[0];
     assert!(warm.report.evaluations < cold.report.evaluations);
     let moved = warm.coefficients_nm.iter().zip(&cold.coefficients_nm).map(|(a, b)| (a - b).abs());
     // Each stops within its tolerance of 1e-3 nm of the minimum; where the directions are weak a few times that.
@@ -176,10 +184,10 @@ fn evaluations_are_those_of_the_chain() {
         let mut session = session(&estimator, options);
         fill(&mut session, &images_e);
         let (mut objectives, mut gradients) = (vec![0.0; 2], vec![0.0; 2 * modes]);
-        let unloaded = session.evaluate(at.view(), &mut objectives, &mut gradients);
+        let unloaded = session.evaluate(0, at.view(), &mut objectives, &mut gradients);
         assert!(matches!(unloaded, Err(Error::Value(_))));
-        session.load(2, Some(60.0)).unwrap();
-        session.evaluate(at.view(), &mut objectives, &mut gradients).unwrap();
+        session.load(0, 2, Some(60.0)).unwrap();
+        session.evaluate(0, at.view(), &mut objectives, &mut gradients).unwrap();
         for (i, expected) in expected.iter().enumerate() {
             assert_eq!(objectives[i], expected.objective);
             assert_eq!(gradients[i * modes..][..modes], expected.gradient);
@@ -199,15 +207,15 @@ fn invalid_sessions_are_refused_with_the_reason() {
     let error = Session::new(paper, &SessionOptions::default()).err().unwrap();
     assert!(error.to_string().contains("bfgs"));
     let mut session = session(&estimator, SessionOptions::default());
-    assert!(session.frame_mut(1).unwrap_err().to_string().contains("frame 1"));
-    assert!(session.fit(2, &FitOptions::default()).unwrap_err().to_string().contains("2 images"));
+    assert!(session.frame_mut(1, 0).unwrap_err().to_string().contains("frame 1"));
+    assert!(session.fit(2, &FitOptions::default()).unwrap_err().to_string().contains("2 groups"));
     let start_nm = Array2::from_elem((1, 3), 0.0);
     let error = session.fit(1, &FitOptions { start_nm: Some(start_nm.view()), ..FitOptions::default() }).unwrap_err();
     assert!(error.to_string().contains("1x3"));
     let error = session.fit(1, &FitOptions { read_noise_e: Some(f64::NAN), ..FitOptions::default() }).unwrap_err();
     assert!(error.to_string().contains("NaN"));
     // The frame is still empty.
-    assert!(session.load(1, None).unwrap_err().to_string().contains("frame 0"));
+    assert!(session.load(0, 1, None).unwrap_err().to_string().contains("frame 0"));
 }
 
 #[test]
@@ -220,10 +228,10 @@ fn bad_pixels_in_a_frame_to_be_reduced_are_refused() {
     fill(&mut session, &images_e);
     session.fit(1, &FitOptions::default()).unwrap();
     // What the reduction leaves of this bright star makes χ² 2.03: fitted it is.
-    assert!(matches!(session.results()[0].report.status, Status::Ok | Status::Misfit));
-    session.frame_mut(0).unwrap().1[[3, 4]] = true;
+    assert!(matches!(fitted(&session)[0].report.status, Status::Ok | Status::Misfit));
+    session.frame_mut(0, 0).unwrap().1[[3, 4]] = true;
     session.fit(1, &FitOptions::default()).unwrap();
-    let Status::Unusable(refusal) = session.results()[0].report.status else { panic!("a bad pixel would ring") };
+    let Status::Unusable(refusal) = fitted(&session)[0].report.status else { panic!("a bad pixel would ring") };
     assert_eq!(refusal, Refusal::BadPixelsWouldRing { bad: 1 });
     assert!(refusal.to_string().contains("estimate.sampling = \"native\""));
 }

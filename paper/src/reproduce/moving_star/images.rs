@@ -75,15 +75,15 @@ impl<'a> Observatory<'a> {
             let image = |&number: &usize| self.image_e(&camera, &night.moments[number], night.seed, number);
             let images: Vec<Array2<f64>> = batch.par_iter().map(image).collect::<Result<_>>()?;
             for (place, image_e) in images.iter().enumerate() {
-                let (mut to_e, mut to_bad) = session.frame_mut(place)?;
+                let (mut to_e, mut to_bad) = session.frame_mut(place, 0)?;
                 to_bad.assign(&bad);
                 to_e.assign(image_e);
                 to_e.zip_mut_with(&bad, |e, bad| *e = if *bad { BAD_E } else { *e });
             }
             session.fit(batch.len(), &FitOptions::default())?;
-            for (place, result) in session.results().iter().enumerate() {
-                let covariance_nm2 = match session.covariance_nm2(place) {
-                    Ok(covariance_nm2) => Some(covariance_nm2),
+            for (place, result) in session.channels()[0].results().iter().enumerate() {
+                let covariance_nm2 = match session.refine(place) {
+                    Ok(refined) => Some(refined.covariance_nm2),
                     Err(Error::Value(_)) => None,
                     Err(error) => return Err(error),
                 };

@@ -142,13 +142,13 @@ impl<'a> Cameraman<'a> {
             let images: Vec<Array2<f64>> =
                 batch.par_iter().map(|&frame| self.image_e(&camera, frame)).collect::<Result<_>>()?;
             for (place, image_e) in images.iter().enumerate() {
-                session.frame_mut(place)?.0.assign(image_e);
+                session.frame_mut(place, 0)?.0.assign(image_e);
             }
             session.fit(batch.len(), &FitOptions::default())?;
-            for (place, result) in session.results().iter().enumerate() {
+            for (place, result) in session.channels()[0].results().iter().enumerate() {
                 let status = result.report.status.word();
-                let covariance_nm2 = match session.covariance_nm2(place) {
-                    Ok(covariance_nm2) => Some(covariance_nm2),
+                let covariance_nm2 = match session.refine(place) {
+                    Ok(refined) => Some(refined.covariance_nm2),
                     Err(Error::Value(_)) => None,
                     Err(error) => return Err(error),
                 };

@@ -9,16 +9,16 @@
 //!
 //! V and each term of M are computed once. M is near a multiple of the identity, and its Cholesky decomposition is exact to rounding.
 
+use super::super::channel_fitters::ChannelFitters;
 use super::super::engine::ImageFit;
 use super::super::fisher::{null_floor, pseudo_inverse, rank, root_of_pseudo_inverse, without};
 use super::super::fitter::ModalFitter;
 use super::super::joint::spanned_diversity;
 use super::super::metrics::Metrics;
 use super::super::pistons;
-use super::super::session::ImageResult;
 use super::super::tilts::spanned_tip_and_tilt;
-use crate::scene::System;
-use crate::{Error, Result};
+use super::options::ImageResult;
+use crate::Result;
 use ndarray::{Array1, Array2, Axis, s};
 
 /// The fit of a frame of a channel, which converged.
@@ -47,7 +47,7 @@ struct Level {
     projected: Array2<f64>,
 }
 
-/// Combines fits of the channels of a scene.
+/// Combines the fits of several channels.
 pub(super) struct Combiner {
     channels: Vec<ChannelPart>,
     /// V, `[mode, and δ where it is unknown, direction]`.
@@ -71,24 +71,16 @@ pub(super) struct Combiner {
 
 impl Combiner {
     /// # Errors
-    /// [`Error::Scene`] for channels with other modes than the first, and for an unknown amplitude of a diversity that the modes do not
-    /// span; [`Error::Value`] where no mode changes the images.
-    pub(super) fn new(scene: &System, fitters: &[&ModalFitter]) -> Result<Self> {
-        let first = fitters.first().ok_or_else(|| Error::Internal("no channel is combined".into()))?;
+    /// [`Error::Scene`](crate::Error::Scene) for an unknown amplitude of a diversity that the modes do not span;
+    /// [`Error::Value`](crate::Error::Value) where no mode changes the images.
+    pub(super) fn new(fitters: &ChannelFitters) -> Result<Self> {
+        let first = fitters.first();
         let modes = first.model.optics.modes();
-        if let Some(other) = fitters.iter().find(|fitter| fitter.model.basis.names() != first.model.basis.names()) {
-            return Err(Error::Scene(format!(
-                "{} has {} modes, and {} has {modes}: channels of one wavefront need one telescope and the same modes",
-                other.scene.name(),
-                other.model.basis.len(),
-                first.scene.name(),
-            )));
-        }
-        let sigma = scene.estimate.diversity_error;
+        let sigma = fitters.scene().estimate.diversity_error;
         let inverse_variance = if sigma > 0.0 { sigma.powi(-2) } else { 0.0 };
         let size = modes + usize::from(sigma > 0.0);
         let mut channels = Vec::with_capacity(fitters.len());
-        for (number, fitter) in fitters.iter().enumerate() {
+        for (number, (_, fitter)) in fitters.iter().enumerate() {
             channels.push(ChannelPart::new(fitter, number > 0, sigma > 0.0)?);
         }
         // Directions that no channel determines are those of any multiples above 0.

@@ -3,7 +3,7 @@
 use super::here;
 use super::pipeline::{COLOURS, bits};
 use cophase::imaging::Choice;
-use cophase::modal::{FitOptions, JointSession, SessionOptions};
+use cophase::modal::{ChannelFitters, FitOptions, Session, SessionOptions};
 use cophase::pipeline::Images;
 use cophase::scene::Scene;
 use ndarray::s;
@@ -47,24 +47,25 @@ fn compare(mut command: Command, scene: &Scene, is_contradictory: bool) {
     }
 }
 
-/// Lines that a program prints; see `joint_session.c`.
+/// Lines that a program prints; see `session_channels.c`.
 fn expected(scene: &Scene, images: &[Images]) -> Vec<String> {
     let options = SessionOptions { device: Some(Choice::Cpu), ..SessionOptions::default() };
-    let mut session = JointSession::new(scene, &options).unwrap();
+    let mut session = Session::new(ChannelFitters::new(scene).unwrap(), &options).unwrap();
     for (channel, images) in images.iter().enumerate() {
-        session.frame_mut(channel).unwrap().0.assign(&images.images_e.slice(s![0, .., ..]));
+        session.frame_mut(0, channel).unwrap().0.assign(&images.images_e.slice(s![0, .., ..]));
     }
-    session.fit(&FitOptions::default()).unwrap();
-    let names = session.estimator(0).unwrap().model().basis.names().to_vec();
-    let (fit, refined) = (session.result().unwrap(), session.refine().unwrap());
-    let mut lines: Vec<String> = session.names().iter().map(|name| format!("channel {name}")).collect();
+    session.fit(1, &FitOptions::default()).unwrap();
+    let names = session.fitters().first().model().basis.names().to_vec();
+    let (fit, refined) = (&session.results()[0], session.refine(0).unwrap());
+    let mut lines: Vec<String> =
+        session.channels().iter().map(|channel| format!("channel {}", channel.name())).collect();
     let pairs = fit.coefficients_nm.iter().zip(&fit.sigma_nm);
     lines.extend(
         names.iter().zip(pairs).map(|(name, (nm, sigma))| format!("coefficient {name} {} {}", bits(*nm), bits(*sigma))),
     );
     let word = |status: &cophase::modal::Status| status.word().to_uppercase().replace('-', "_");
-    lines.extend(session.results().enumerate().map(|(channel, result)| {
-        let report = &result.report;
+    lines.extend(session.channels().iter().enumerate().map(|(channel, fits)| {
+        let report = &fits.results()[0].report;
         format!("image {channel} {} {} 1 {channel}", word(&report.status), bits(report.reduced_chi2))
     }));
     let joint = |is_contradictory: bool, (chi2, freedom): (f64, f64)| {
