@@ -272,7 +272,7 @@ pub unsafe extern "C" fn cophase_estimator_estimate_channels(
         }
         let each = (0..count).map(|index| unsafe { images_of_channel(&*first.add(index), index, scene) });
         let each = each.collect::<Result<Vec<_>>>()?;
-        let made = on_threads(working.pool.as_ref(), || working.estimator.estimate_channels(&each))?;
+        let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&each))?;
         unsafe { out.write(handle_of(made)) };
         Ok(())
     })

@@ -1,4 +1,4 @@
-//! Estimate from the images of several channels of one wavefront: each channel fitted by its own scene, and the fits combined.
+//! Modal estimate: the images of each channel fitted by its own scene; the fits of several are combined.
 
 use super::budget::ErrorTerm;
 use super::consistency::Electrons;
@@ -18,36 +18,51 @@ use ndarray::{Array1, Axis, concatenate};
 
 /// The images of one channel, with the scene that they are read by.
 pub(super) struct ChannelImages<'a> {
-    pub(super) name: &'a str,
+    /// Its name, where the scene lists its channels.
+    pub(super) name: Option<&'a str>,
     pub(super) scene: Scene,
     pub(super) images: Electrons<'a>,
+    /// What was built for its scene.
+    pub(super) cache: ModelCache,
+}
+
+/// Names of `channels`; none where the scene does not list them.
+pub(super) fn names(channels: &[&ChannelImages]) -> Vec<String> {
+    channels.iter().filter_map(|channel| channel.name).map(str::to_owned).collect()
+}
+
+/// Result of a channel, whose error has its name.
+pub(super) fn named<T>(name: Option<&str>, result: Result<T>) -> Result<T> {
+    result.map_err(|error| name.into_iter().fold(error, Error::of_channel))
 }
 
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
 
-/// Estimates the wavefront behind the images of all channels of `scene`. The `series` are of the channels with diversity, in order:
+/// Estimates the static wavefront behind the images of all `channels` of `scene`. The `series` are of the channels with diversity, in order:
 /// fits that they have are taken.
 ///
 /// # Errors
-/// Those of each channel's estimate; [`Error::Scene`] for an estimate that channels do not have.
+/// Those of the fits of each channel; [`Error::Scene`] for an estimate that channels do not have; [`Error::Interrupted`].
 pub(super) fn estimate(
     scene: &Scene,
     policy: &Policy,
     control: &Control,
-    cache: &ModelCache,
     channels: &[ChannelImages],
     series: Option<&mut [FitSeries]>,
 ) -> Result<Estimate> {
     let [with, in_focus] = by_diversity(channels);
-    let defocused = Channels::new(scene, policy, control, cache, &with)?;
+    let defocused = Channels::new(scene, policy, control, &with)?;
+    if let [ChannelImages { name: None, .. }] = channels {
+        return defocused.only(series);
+    }
     let (mut fits, mut found) = defocused.fit_with_extensions(series)?;
     let (mut used, mut left_out) = (with.clone(), Vec::new());
     if !in_focus.is_empty() {
         let others =
             (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
         let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
-        let own = Channels::new(scene, policy, control, cache, &in_focus)?;
+        let own = Channels::new(scene, policy, control, &in_focus)?;
         let own = own.extended(selected.map_or(&[], |selected| &selected.settings))?;
         for (number, channel) in in_focus.iter().enumerate() {
             match own.fit_in_focus(number, others.as_ref())? {
@@ -55,22 +70,25 @@ pub(super) fn estimate(
                     fits.push(fitted);
                     used.push(channel);
                 }
-                Err(reason) => left_out.push(format!(
-                    "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: \
-                     {reason}",
-                    channel.name
-                )),
+                Err(reason) => left_out.push(left_out_warning(channel, reason)),
             }
         }
         if used.len() > with.len() {
             found = defocused.combine(&fits)?;
         }
     }
-    let names: Vec<String> = used.iter().map(|channel| channel.name.to_owned()).collect();
     let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
-    let mut estimate = combined(scene, found, names, each)?;
+    let mut estimate = combined(scene, found, names(&used), each)?;
     estimate.warnings.splice(0..0, left_out);
     Ok(estimate)
+}
+
+/// Warning on a channel in focus whose images take no part.
+pub(super) fn left_out_warning(channel: &ChannelImages, reason: &str) -> String {
+    format!(
+        "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: {reason}",
+        channel.name.unwrap_or_default()
+    )
 }
 
 /// The channels that determine the signs of the wavefront by themselves, and those in focus; the first are all where none does.
@@ -96,13 +114,11 @@ impl<'a> Channels<'a> {
         scene: &'a Scene,
         policy: &Policy,
         control: &'a Control,
-        cache: &ModelCache,
         channels: &'a [&'a ChannelImages<'a>],
     ) -> Result<Self> {
         let scenes = channels.iter().map(|channel| {
-            let own = own_scene(&channel.scene)?;
-            let cache = cache.for_scene(&channels[0].scene, &own);
-            Ok((own, cache))
+            let own = if channel.name.is_some() { own_scene(&channel.scene)? } else { channel.scene.clone() };
+            Ok((own, channel.cache.clone()))
         });
         Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control })
     }
@@ -126,9 +142,19 @@ impl<'a> Channels<'a> {
         ModalTask { scene, policy: &self.policy, control: self.control, cache, images }
     }
 
-    /// Result of the channel `channel`, whose error names it.
+    /// Result of the channel `channel`, whose error has its name.
     pub(super) fn named<T>(&self, channel: usize, result: Result<T>) -> Result<T> {
-        result.map_err(|error| error.of_channel(self.channels[channel].name))
+        named(self.channels[channel].name, result)
+    }
+
+    /// The estimate of the only channel.
+    fn only(&self, series: Option<&mut [FitSeries]>) -> Result<Estimate> {
+        let task = self.task(0);
+        let mut fitted = task.fit(series.and_then(|series| series.first_mut()))?;
+        explain(&task, &mut fitted)?;
+        let mut estimate = fitted.into_estimate(task.policy)?;
+        estimate.optics.iter_mut().for_each(|parameter| parameter.take_form_of(task.scene));
+        Ok(estimate)
     }
 
     /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.

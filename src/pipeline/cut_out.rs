@@ -22,7 +22,7 @@ pub(super) fn scene_of_cut_out(scene: &Scene, images: &[&Images]) -> Result<Opti
     let own = scene.image.frame_shape();
     let Some((rows, columns)) = images.first().and_then(size_of).filter(|size| *size != own) else { return Ok(None) };
     let is_common = images.iter().all(|images| size_of(images) == Some((rows, columns)));
-    if !is_common || scene.channels().iter().any(|channel| channel.scene.image.frame_shape() != own) {
+    if !is_common || scene.each_channel().iter().any(|(_, scene)| scene.image.frame_shape() != own) {
         return Ok(None);
     }
     let pixels = rows.max(columns);

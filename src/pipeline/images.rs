@@ -220,8 +220,8 @@ impl Images {
     /// Those of [`source::simulate_channels`].
     pub fn simulated_channels(scene: &Scene) -> Result<Vec<Self>> {
         let made = source::simulate_channels(scene)?;
-        let names = scene.channels().iter().map(|channel| Some(channel.name.clone())).chain(std::iter::repeat(None));
-        Ok(made.into_iter().zip(names).map(|(made, channel)| Self { channel, ..Self::from(made) }).collect())
+        let named = made.into_iter().zip(scene.each_channel());
+        Ok(named.map(|(made, (name, _))| Self { channel: name.map(str::to_owned), ..Self::from(made) }).collect())
     }
 
     /// Number of images.
@@ -296,6 +296,13 @@ impl Images {
             return Err(Error::Value(format!("read_noise_e is {noise_e}: 0 electrons or more is accepted")));
         }
         Ok(())
+    }
+}
+
+/// Images of one channel are a list of one.
+impl AsRef<[Images]> for Images {
+    fn as_ref(&self) -> &[Images] {
+        std::slice::from_ref(self)
     }
 }
 

@@ -2,11 +2,13 @@
 //! share.
 
 use super::budget::ErrorTerm;
-use super::control::Stage;
+use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
+use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
 use super::outcome::ImageOutcome;
+use super::policy::Policy;
 use super::sequence::{self, SequenceResult};
-use super::sequence_channel::Sequence;
+use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{remarks, warnings};
 use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
 use crate::modal::ImageStatus;
@@ -17,7 +19,7 @@ use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::statistics::upper_median;
 use crate::telescope::{Telescope, unit_remark};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, Axis};
+use ndarray::{Array1, Array2, Axis, concatenate};
 use std::time::Instant;
 
 /// Largest reduced χ² of images that the model explains except for turbulence finer than its samples: with a bright star 1.4 to
@@ -64,20 +66,38 @@ fn moved_reference_mas(scene: &Scene, given: Option<&Array1<f64>>) -> Result<Opt
     Ok(named.or_else(|| given.map(|rows| rows.row(0).to_owned())))
 }
 
-/// Estimates the static errors behind the images of `sequence`, whose slopes are used where its scene says so. `scene` is that of the
-/// images, with its channels.
+/// Estimates the static errors behind the exposures of all `channels` of `scene`, whose slopes are used where it says so.
 ///
 /// # Errors
 /// Those of [`sequence::estimate`]; [`Error::Shape`] for slopes of another number of exposures.
-pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
-    let count = sequence.images();
+pub(super) fn estimate(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    channels: &[ChannelImages],
+) -> Result<Estimate> {
+    let [with, in_focus] = by_diversity(channels);
+    let is_simultaneous = channels.len() > 1 && scene.image.simultaneous;
+    let (measured, ignored) = telemetry(&with, is_simultaneous)?;
     // A level below telemetry uses no slopes, and does not check those of a file.
     let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry)
         && scene.estimate.telemetry != Telemetry::Ignore;
-    let slopes_mas = sequence.slopes_mas.filter(|_| uses_telemetry);
+    let slopes_mas = measured.as_ref().filter(|_| uses_telemetry);
     let converted_mas = slopes_mas.map(|measured| slopes_in_mas(scene, measured)).transpose()?.flatten();
     let slopes_mas = converted_mas.as_ref().or(slopes_mas);
-    let moved_mas = slopes_mas.map(|_| moved_reference_mas(scene, sequence.moved_reference_mas)).transpose()?.flatten();
+    // One sensor measures the slopes of all channels.
+    let moved_mas = with.iter().find_map(|channel| channel.images.moved_reference_mas);
+    let moved_mas = slopes_mas.map(|_| moved_reference_mas(scene, moved_mas)).transpose()?.flatten();
+    let sequences: Vec<_> =
+        with.iter().map(|channel| SequenceChannel { scene: &channel.scene, images: &channel.images }).collect();
+    let sequence = Sequence {
+        channels: &sequences,
+        is_simultaneous,
+        slopes_mas,
+        moved_reference_mas: moved_mas.as_ref(),
+        policy,
+        control,
+    };
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != sequence.exposures()) {
         return Err(Error::Shape(format!(
             "the telemetry holds {} sets of slopes for {} images: one each is needed",
@@ -85,10 +105,8 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
             sequence.exposures()
         )));
     }
-    let (policy, control) = (sequence.policy, sequence.control);
-    control.enter(Stage::Retrieving, count);
+    control.enter(Stage::Retrieving, sequence.images());
     let started = Instant::now();
-    let sequence = Sequence { slopes_mas, moved_reference_mas: moved_mas.as_ref(), ..sequence };
     let found = sequence::estimate(&sequence)?;
     let seconds = started.elapsed().as_secs_f64();
     control.check("the images were read, nothing was written")?;
@@ -105,13 +123,17 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     };
     let excess: Vec<f64> = outcomes.iter().filter(|outcome| outcome.is_used).map(excess).collect();
     let is_misfit = last.reduced_chi2 < LEAST_EXPLAINED || upper_median(&excess) > explained - 1.0;
-    let mut sentences = warnings::map_warnings(&found, last, has_settled, is_misfit);
+    let why = "a full-phase estimate reads defocused images";
+    let mut sentences: Vec<String> = in_focus.iter().map(|channel| left_out_warning(channel, why)).collect();
+    sentences.extend(ignored);
+    sentences.extend(warnings::map_warnings(&found, last, has_settled, is_misfit));
     if slopes_mas.is_some() && found.ao_knowledge < AoKnowledge::Telemetry {
         sentences.push(
             "the slopes that come with the images are ignored: the scene has no [wavefront_sensor] and [control]"
                 .into(),
         );
     }
+    sentences.extend(warnings::integers_warning(&found.integers));
     // Errors of the diversities of several channels partly cancel.
     let only = (sequence.channels.len() == 1).then_some(&found.scene);
     let mut remarks: Vec<String> =
@@ -128,7 +150,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
     Ok(Estimate {
         policy: *policy,
-        channels: Vec::new(),
+        channels: names(&with),
         integers: found.integers.clone(),
         basis: basis(last),
         coefficients_nm: last.coefficients_nm(),
@@ -168,8 +190,29 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
             retrieval_seconds: found.retrieval_seconds,
             segment_reflectivities: found.optics.segment_reflectivities,
         }),
-        scene: found.scene,
+        // One that lists its channels is that of the estimate as it was given.
+        scene: if with[0].name.is_some() { scene.clone() } else { found.scene },
     })
+}
+
+/// Slopes of the exposures, where each channel has its own, and a warning where only some have any.
+fn telemetry(channels: &[&ChannelImages], is_simultaneous: bool) -> Result<(Option<Array2<f64>>, Option<String>)> {
+    let slopes: Vec<_> = channels.iter().filter_map(|channel| channel.images.slopes_mas).collect();
+    match slopes[..] {
+        [] => Ok((None, None)),
+        _ if slopes.len() < channels.len() => {
+            Ok((None, Some("only some channels have slopes of the wavefront sensor, and these are ignored".into())))
+        }
+        // One exposure, one set of slopes.
+        [first, ..] if is_simultaneous => Ok((Some(first.clone()), None)),
+        _ => {
+            let views: Vec<_> = slopes.iter().map(|slopes| slopes.view()).collect();
+            let all = concatenate(Axis(0), &views).map_err(|_| {
+                Error::Shape("the slopes of the channels differ in number: each needs all of the sensor's".into())
+            })?;
+            Ok((Some(all), None))
+        }
+    }
 }
 
 /// Excess of χ² over 1 that turbulence leaves in images of `scene`, over that at [`EXPLAINED_AT_NM`].

@@ -12,7 +12,6 @@
 
 mod absolute_pistons;
 mod budget;
-mod channel_sequence;
 mod channels;
 mod check;
 mod consistency;

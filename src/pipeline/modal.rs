@@ -1,32 +1,19 @@
-//! Modal estimate: static modes fitted to each image, and the images combined.
+//! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and remarks.
 
 use super::budget::ErrorTerm;
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
-use super::explain::explain;
-use super::modal_task::{Fitted, ModalTask};
+use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::{remarks, warnings};
 use crate::Result;
 use crate::metrics::MapGram;
-use crate::modal::{self, FitSeries, FittedOptic, Model};
+use crate::modal::{self, FittedOptic, Model};
 use crate::modes::Group;
 use crate::scene::NollRange;
 use crate::telescope::unit_remark;
 use ndarray::Array2;
 use std::sync::Arc;
-
-/// Estimates the static wavefront behind the images of one channel; fits that `series` have are taken.
-///
-/// # Errors
-/// Those of the fits, and [`crate::Error::Interrupted`].
-pub(super) fn estimate(task: &ModalTask, series: Option<&mut FitSeries>) -> Result<Estimate> {
-    let mut fitted = task.fit(series)?;
-    explain(task, &mut fitted)?;
-    let mut estimate = fitted.into_estimate(task.policy)?;
-    estimate.optics.iter_mut().for_each(|parameter| parameter.take_form_of(task.scene));
-    Ok(estimate)
-}
 
 impl Fitted {
     /// The estimate of this channel alone.

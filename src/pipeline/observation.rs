@@ -160,15 +160,15 @@ impl Base {
                 scene.name()
             )));
         }
-        let channels = scene.channels();
-        let mut wavelengths_nm = vec![scene.image.wavelength_nm];
-        for channel in channels {
-            let nm = channel.scene.image.wavelength_nm;
+        let channels = scene.each_channel();
+        let mut wavelengths_nm = Vec::new();
+        for (_, own) in &channels {
+            let nm = own.image.wavelength_nm;
             if !wavelengths_nm.contains(&nm) {
                 wavelengths_nm.push(nm);
             }
         }
-        let one = channels.first().map_or(scene, |channel| &channel.scene);
+        let (_, one) = channels[0];
         let one = one.with(&[("image.count", "1"), ("estimate.budget_nm", ""), ("estimate.method", "modal")])?;
         let flux_e = source::simulate(&one)?.flux_e;
         let electrons = format!("{flux_e:e}");
@@ -211,7 +211,7 @@ impl Base {
         // A larger model is no remedy for a defocus that is too small.
         let policy = Policy { select_model: false, ..Policy::default() };
         let estimator = Estimator::with_policy(&scene, policy, super::Control::default())?;
-        let (squares, flaw) = match estimator.estimate_channels(&images) {
+        let (squares, flaw) = match estimator.estimate(&images) {
             Ok(found) => (split(&found.error_budget), flaw(&found)),
             // A star whose light fills the frame, for one.
             Err(Error::Image(sentence)) => ([[f64::INFINITY; 2], [0.0; 2]], Some(sentence)),

@@ -30,33 +30,28 @@ impl TurnedImages {
     /// # Errors
     /// [`Error::Scene`] for another number of turns than of images; [`Error::Image`] for turns in the file that contradict the scene's.
     pub(super) fn of(given: &Scene, images: &[&Images]) -> Result<Option<Self>> {
-        let scenes: Vec<&Scene> = match given.channels() {
-            [] => vec![given],
-            channels => channels.iter().map(|channel| &channel.scene).collect(),
-        };
-        let turns_deg = scenes.iter().zip(images).map(|(scene, images)| turns_of(scene, images));
+        let own = given.each_channel();
+        let turns_deg = own.iter().zip(images).map(|((_, scene), images)| turns_of(scene, images));
         let turns_deg = turns_deg.collect::<Result<Vec<_>>>()?;
-        let is_scenes_own = |(scene, turns_deg): (&&Scene, &Option<Vec<f64>>)| {
-            turns_deg
-                .as_ref()
-                .is_none_or(|turns_deg| scene.image.pupil_turns_deg.as_ref() == Some(turns_deg) && turns_deg.len() == 1)
+        let is_own = |scene: &Scene, turns_deg: &Vec<f64>| scene.image.pupil_turns_deg.as_ref() == Some(turns_deg);
+        let is_at_rest = |((_, scene), turns_deg): (&(_, &Scene), &Option<Vec<f64>>)| {
+            turns_deg.as_ref().is_none_or(|turns_deg| turns_deg.len() == 1 && is_own(scene, turns_deg))
         };
-        if scenes.iter().zip(&turns_deg).all(is_scenes_own) {
+        if own.iter().zip(&turns_deg).all(is_at_rest) {
             return Ok(None);
         }
-        let of_file = scenes.iter().zip(&turns_deg).enumerate().filter_map(|(number, (scene, turns_deg))| {
-            let turns_deg =
-                turns_deg.as_ref().filter(|turns_deg| scene.image.pupil_turns_deg.as_ref() != Some(*turns_deg))?;
-            let channel = given.channels().get(number).map(|channel| format!("channel.{}.", channel.name));
-            Some((format!("image.{}pupil_turns_deg", channel.unwrap_or_default()), format!("{turns_deg:?}")))
+        let of_file = own.iter().zip(&turns_deg).filter_map(|((name, scene), turns_deg)| {
+            let turns_deg = turns_deg.as_ref().filter(|turns_deg| !is_own(scene, turns_deg))?;
+            let channel = name.map(|name| format!("channel.{name}.")).unwrap_or_default();
+            Some((format!("image.{channel}pupil_turns_deg"), format!("{turns_deg:?}")))
         });
         let of_file: Vec<(String, String)> = of_file.collect();
         let of_file: Vec<(&str, &str)> = of_file.iter().map(|(key, turns)| (key.as_str(), turns.as_str())).collect();
         let with_turns = if of_file.is_empty() { given.clone() } else { given.with(&of_file)? };
-        let most = Scene::MAX_CHANNELS / scenes.len();
+        let most = Scene::MAX_CHANNELS / own.len();
         let (mut channels, mut parts, mut order, mut remarks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut begin, count) = (0, images.iter().map(|images| images.len()).sum::<usize>());
-        for (number, (images, turns_deg)) in images.iter().zip(turns_deg).enumerate() {
+        for (((name, _), images), turns_deg) in own.iter().zip(images).zip(turns_deg) {
             let turns_deg = match turns_deg.unwrap_or_else(|| vec![0.0]) {
                 one if one.len() == 1 => vec![one[0]; images.len()],
                 each => each,
@@ -67,17 +62,17 @@ impl TurnedImages {
                     "The pupil turns by more than {most} models resolve: images within {width_deg:.2}° of each other are fitted with their mean turn."
                 ));
             }
-            let name = given.channels().get(number).map(|channel| format!("{:.24}, ", channel.name));
-            let mut own = Vec::new();
+            let name = name.map(|name| format!("{name:.24}, ")).unwrap_or_default();
+            let mut each = Vec::new();
             for Group { turn_deg, images: which } in groups {
-                let name = format!("{}turn {turn_deg:+.3}", name.as_deref().unwrap_or_default());
+                let name = format!("{name}turn {turn_deg:+.3}");
                 let scene =
                     images.scene.as_ref().map(|scene| scene.with(&[(KEY, &format!("[{turn_deg}]"))])).transpose()?;
                 parts.push(Images { channel: Some(name.clone()), scene, ..images.selected(&which) });
                 order.extend(which.iter().map(|image| begin + image));
-                own.push((name, turn_deg));
+                each.push((name, turn_deg));
             }
-            channels.push(own);
+            channels.push(each);
             begin += images.len();
         }
         let turns = counted(channels.iter().map(Vec::len).sum(), "turn");

@@ -13,6 +13,14 @@ impl Scene {
         &self.channels
     }
 
+    /// Name and scene of each way of imaging, in order: of each of its channels, or, for a scene that lists none, its own without a name.
+    pub fn each_channel(&self) -> Vec<(Option<&str>, &Self)> {
+        match self.channels() {
+            [] => vec![(None, self)],
+            channels => channels.iter().map(|channel| (Some(channel.name.as_str()), &channel.scene)).collect(),
+        }
+    }
+
     /// Most channels of a scene.
     pub(crate) const MAX_CHANNELS: usize = channel::MAX_CHANNELS;
 

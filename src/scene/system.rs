@@ -136,7 +136,7 @@ impl System {
             [] => Ok(()),
             channels => Err(Error::Scene(format!(
                 "{}: {who} have one channel, and the scene has {} ([[image.channel]]): give a scene of one channel, or give this one \
-                 to 'cophase estimate', 'cophase simulate', pipeline::Estimator::estimate_channels or, in real time, \
+                 to 'cophase estimate', 'cophase simulate', Estimator::estimate or, in real time, \
                  ChannelFitters (cophase_model_create), which take several",
                 self.name(),
                 channels.len()

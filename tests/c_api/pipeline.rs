@@ -77,7 +77,7 @@ fn exposures_of_two_channels(command: Command) {
         Images { channel: Some((*name).into()), slopes_mas: Some(slopes_mas), ..Images::new(images_e) }
     });
     let images: Vec<Images> = images.collect();
-    let found = Estimator::new(&scene).unwrap().estimate_channels(&images).unwrap();
+    let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
     assert_eq!(found.map.as_ref().unwrap().ao_knowledge, AoKnowledge::Telemetry);
     let cube = concatenate(Axis(0), &images.iter().map(|one| one.images_e.view()).collect::<Vec<_>>()).unwrap();
     let slopes: Vec<_> = images.iter().filter_map(|one| one.slopes_mas.as_ref()).map(|one| one.view()).collect();
@@ -95,7 +95,7 @@ fn images_of_two_channels(command: Command) {
     let images: Vec<Images> =
         images.into_iter().map(|one| Images { channel: one.channel, ..Images::new(one.images_e) }).collect();
     let cube = concatenate(Axis(0), &images.iter().map(|one| one.images_e.view()).collect::<Vec<_>>()).unwrap();
-    let found = Estimator::new(&scene).unwrap().estimate_channels(&images).unwrap();
+    let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
     assert_eq!(
         (found.channels.as_slice(), found.integers.len()),
         (&["K".to_string(), "H".into()][..], found.segment_modes())

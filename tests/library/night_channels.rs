@@ -32,7 +32,7 @@ fn simulated(scene: &Scene) -> Vec<Images> {
 }
 
 fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
-    shown(Estimator::new(scene).unwrap().estimate_channels(images).unwrap())
+    shown(Estimator::new(scene).unwrap().estimate(images).unwrap())
 }
 
 /// Whether the residuals are within three error bars.
@@ -59,7 +59,7 @@ fn successive_channels_are_one_sequence() {
     let ratio = found.phasing.sigma_nm / one.phasing.sigma_nm;
     assert!((0.55..0.9).contains(&ratio), "{ratio}");
     let [plus, minus] = images.try_into().unwrap();
-    let swapped = Estimator::new(&scene).unwrap().estimate_channels(&[minus, plus]).unwrap();
+    let swapped = Estimator::new(&scene).unwrap().estimate(&[minus, plus]).unwrap();
     assert_eq!(swapped.coefficients_nm, found.coefficients_nm);
 }
 
@@ -83,7 +83,7 @@ fn simultaneous_channels_are_averaged_in_each_exposure() {
     let mut fewer = images.clone();
     let seven = images[1].images_e.slice(ndarray::s![..7, .., ..]).to_owned();
     fewer[1] = Images { channel: images[1].channel.clone(), ..Images::new(seven).in_electrons() };
-    let refused = Estimator::new(&scene).unwrap().estimate_channels(&fewer).unwrap_err().to_string();
+    let refused = Estimator::new(&scene).unwrap().estimate(&fewer).unwrap_err().to_string();
     assert_facts(&refused, "[8, 7] images");
 }
 

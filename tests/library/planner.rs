@@ -253,7 +253,7 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
             let (made, read) = (&given, &plan.scene);
             let made = made.with_override("aberrations.seed", &seed).unwrap();
             let images = Images::simulated_channels(&made).unwrap();
-            let found = Estimator::new(read).unwrap().estimate_channels(&images).unwrap();
+            let found = Estimator::new(read).unwrap().estimate(&images).unwrap();
             let residual = found.truth.as_ref().unwrap().1.rms_nm;
             squares.iter_mut().zip(residual).for_each(|(square, nm)| *square += nm * nm / DRAWS as f64);
         }
@@ -272,8 +272,7 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
 fn an_estimate_plans_the_channels_of_a_scene_with_a_budget() {
     let given = Scene::from_text(&format!("{SMALL}\n{}", CHANNELS[0]), Path::new("")).unwrap();
     let budget = given.with_override("estimate.budget_nm", "4").unwrap();
-    let found =
-        Estimator::new(&budget).unwrap().estimate_channels(&Images::simulated_channels(&given).unwrap()).unwrap();
+    let found = Estimator::new(&budget).unwrap().estimate(&Images::simulated_channels(&given).unwrap()).unwrap();
     assert!(found.scene.estimate.samples.is_some() && found.scene.estimate.budget_nm.is_none());
     let residual = &found.truth.as_ref().unwrap().1;
     assert!(residual.rms_nm.iter().take(2).all(|nm| *nm < 4.0), "{:?}", residual.rms_nm);

@@ -47,7 +47,7 @@ fn channels_turn_each_by_its_own() {
     let channels = PAIR.replace("diversity_focus_waves_rms = -0.8\n", turns);
     let scene = with_channels(&channels, &[("image.count", "2")]);
     let images = Images::simulated_channels(&scene).unwrap();
-    let found = shown(Estimator::new(&scene).unwrap().estimate_channels(&images).unwrap());
+    let found = shown(Estimator::new(&scene).unwrap().estimate(&images).unwrap());
     assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
     assert_eq!(found.channels, ["plus, turn +0.000", "minus, turn -2.000", "minus, turn +2.000"]);
     let channels: Vec<usize> = found.images.iter().map(|image| image.channel).collect();

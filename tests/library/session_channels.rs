@@ -40,7 +40,7 @@ fn fits(session: &Session) -> impl Iterator<Item = &ImageResult> {
 /// The estimate without retries of the images.
 fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
     let realtime = Estimator::with_policy(scene, Policy::realtime(), Control::default()).unwrap();
-    realtime.estimate_channels(images).unwrap()
+    realtime.estimate(images).unwrap()
 }
 
 /// Compares a session with the estimate from the same images: the largest difference of a coefficient over its error bar, and the

@@ -170,7 +170,7 @@ pub fn channels(rows: &[ChannelRow], seeds: usize, progress: &Progress) -> Resul
         let estimator = Estimator::new(&read)?;
         let make = |seed: usize| {
             let images = Images::simulated_channels(&made.with_override("aberrations.seed", &seed.to_string())?)?;
-            let found = ChannelDraw::new(&estimator.estimate_channels(&images)?)?;
+            let found = ChannelDraw::new(&estimator.estimate(&images)?)?;
             progress.add(1);
             Ok(found)
         };

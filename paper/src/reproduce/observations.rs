@@ -101,7 +101,7 @@ pub fn observations(seeds: usize, progress: &Progress) -> Result<Observations> {
                 let images = Images::simulated_channels(
                     &observation.scene.with_override("aberrations.seed", &seed.to_string())?,
                 )?;
-                let estimate = estimator.estimate_channels(&images)?;
+                let estimate = estimator.estimate(&images)?;
                 let Some((_, residual)) = &estimate.truth else {
                     return Err(Error::Internal("a simulated image has no truth".into()));
                 };

@@ -103,7 +103,7 @@ pub fn petals(seeds: usize, quick: bool, progress: &Progress) -> Result<PetalTab
             let draw = |seed: usize| {
                 progress.check()?;
                 let images = Images::simulated_channels(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
-                let found = PetalDraw::new(&estimator.estimate_channels(&images)?, case)?;
+                let found = PetalDraw::new(&estimator.estimate(&images)?, case)?;
                 progress.add(1);
                 Ok(found)
             };

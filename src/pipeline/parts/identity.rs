@@ -1,7 +1,7 @@
 //! Identity of an estimate: a hash of all that its fits depend on, by which parts of another one are refused.
 
 use crate::io::file_of;
-use crate::pipeline::consistency::Electrons;
+use crate::pipeline::channels::ChannelImages;
 use crate::pipeline::policy::Policy;
 use crate::pipeline::scene_files::{check_file, scene_files};
 use crate::scene::Scene;
@@ -21,7 +21,7 @@ const BYTES_AT_ONCE: usize = 1 << 20;
 ///
 /// # Errors
 /// [`Error::File`] for a file that is there and cannot be read.
-pub(super) fn identity(policy: &Policy, scene: &Scene, each: &[(&Scene, &Electrons)]) -> Result<u128> {
+pub(super) fn identity(policy: &Policy, scene: &Scene, channels: &[ChannelImages]) -> Result<u128> {
     let mut hasher = Hasher::new();
     bytes(&mut hasher, env!("CARGO_PKG_VERSION").as_bytes());
     bytes(&mut hasher, format!("{policy:?}").as_bytes());
@@ -34,7 +34,7 @@ pub(super) fn identity(policy: &Policy, scene: &Scene, each: &[(&Scene, &Electro
             content(&mut hasher, &path)?;
         }
     }
-    for (scene, images) in each {
+    for ChannelImages { scene, images, .. } in channels {
         bytes(&mut hasher, scene.text().as_bytes());
         bytes(&mut hasher, &images.read_noise_e.unwrap_or(-1.0).to_le_bytes());
         cube(&mut hasher, &images.images_e, |electrons| electrons.to_le_bytes());
@@ -80,6 +80,8 @@ fn cube<T: Copy, const N: usize>(hasher: &mut Hasher, cube: &Array3<T>, bytes_of
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::modal::ModelCache;
+    use crate::pipeline::consistency::Electrons;
     use std::borrow::Cow;
 
     #[test]
@@ -93,7 +95,8 @@ mod tests {
         let of = |scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>, read_noise_e| {
             let (images_e, bad) = (Cow::Borrowed(images_e), Cow::Borrowed(bad));
             let images = Electrons { images_e, bad, read_noise_e, slopes_mas: None, moved_reference_mas: None };
-            identity(&Policy::default(), scene, &[(scene, &images)]).unwrap()
+            let channel = ChannelImages { name: None, scene: scene.clone(), images, cache: ModelCache::default() };
+            identity(&Policy::default(), scene, &[channel]).unwrap()
         };
         let (mut negated, mut marked) = (images_e.clone(), bad.clone());
         // Only the sign bit changes.

@@ -61,7 +61,7 @@ pub(super) fn conclude(
     let Work { images, estimator, .. } = work;
     let mut parts = if parts.is_empty() { None } else { Some(PartFits::of_all(parts)?) };
     let estimate = match &mut parts {
-        None => estimator.estimate_channels(&images),
+        None => estimator.estimate(&images),
         Some(parts) => estimator.estimate_from_parts(&images, parts),
     };
     let estimate = estimate.map_err(files::about(arguments.first()))?;
@@ -101,7 +101,7 @@ pub fn estimated(
     interrupt: &Interrupt,
 ) -> Result<Estimate> {
     let bar = terminal.follow();
-    estimator(scene, &bar, interrupt)?.estimate_channels(images).map_err(files::about(name))
+    estimator(scene, &bar, interrupt)?.estimate(images).map_err(files::about(name))
 }
 
 /// The estimator of a scene, which shows its progress on `bar` and stops at Ctrl-C.
