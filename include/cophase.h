@@ -516,16 +516,21 @@ typedef struct {
   int64_t has_read_noise;
 } cophase_estimate_options;
 
-/* Images of one channel of a scene ([[image.channel]]). The layout of this struct is permanent. */
+/* Images of one channel: of the only one of a scene, or of one that it lists ([[image.channel]]). The layout of this struct is permanent. */
 typedef struct {
-  /* Name of the channel, UTF-8; NULL for all: they are in the order of the scene. */
+  /* Name of the channel, UTF-8; NULL for all: they are in the order of the scene. NULL where the scene lists no channels. */
   const char *channel;
-  /* Its images, count x rows x cols as the channel says. */
+  /* Images of the same static errors, count x rows x cols as the channel says. Of frames with one row or column more the last
+   * is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part, are those
+   * of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column cols/2,
+   * rounded down.
+   */
   const cophase_input *frames;
   /* Its options; NULL for the defaults. */
   const cophase_estimate_options *options;
-  /* Telemetry of a MAP estimate, as for cophase_estimator_estimate: of its exposures, also where the channels are simultaneous;
-   * NULL without. Slopes are used where every channel has them.
+  /* Telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure, along x for every
+   * subaperture, then along y; NaN for all of an image without telemetry; NULL without any. Of its exposures, also where the
+   * channels are simultaneous. Slopes are used where every channel has them.
    */
   const cophase_input *slopes_mas;
 } cophase_channel_images;
@@ -565,40 +570,22 @@ cophase_status cophase_estimator_progress(const cophase_estimator *estimator,
                                           uint64_t *done,
                                           uint64_t *total);
 
-/* Estimates the static wavefront behind images. What is wrong with single images is in their reports; what to know of the
- * whole is in COPHASE_TEXT_WARNINGS of the estimate.
+/* Estimates the static wavefront behind images: of one channel, or of several (defocuses, wavelengths). What is wrong with single
+ * images is in their reports; what to know of the whole is in COPHASE_TEXT_WARNINGS of the estimate.
  *
- * frames: count x rows x cols as the scene says; images of the same static errors. Of frames with one row or column more the
- *   last is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part,
- *   are those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and
- *   column cols/2, rounded down.
- * slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
- *   along x for every subaperture, then along y; NaN for all of an image without telemetry; NULL without any.
- * options: NULL for the defaults.
+ * channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1 for a scene that
+ *   lists none.
  * estimate: receives the handle.
  *
- * COPHASE_BAD_SHAPE for frames or slopes of another shape. COPHASE_BAD_IMAGE if no image can be used (fewer than two in a
- * MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the telescope cannot be built. COPHASE_DEVICE if the device that
- * the scene names is absent or fails. COPHASE_INTERRUPTED after cophase_estimator_cancel.
+ * COPHASE_BAD_SHAPE for images of other channels than the scene has, and for frames or slopes of another shape.
+ * COPHASE_BAD_IMAGE if no image can be used (fewer than two in a MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the
+ * telescope cannot be built. COPHASE_DEVICE if the device that the scene names is absent or fails. COPHASE_INTERRUPTED after
+ * cophase_estimator_cancel.
  */
 cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
-                                          const cophase_input *frames,
-                                          const cophase_input *slopes_mas,
-                                          const cophase_estimate_options *options,
+                                          const cophase_channel_images *channels,
+                                          size_t count,
                                           cophase_estimate **estimate);
-
-/* Estimates the static wavefront behind the images of several channels: defocuses, wavelengths.
- *
- * channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1, without a name,
- *   for a scene without channels, for which this is cophase_estimator_estimate.
- * estimate: receives the handle.
- *
- * COPHASE_BAD_SHAPE for images of other channels than the scene has; else as cophase_estimator_estimate.
- */
-cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
-                                                   const cophase_channel_images *channels,
-                                                   size_t count,
-                                                   cophase_estimate **estimate);
 
 /* ------------------------------------------ Estimate ------------------------------------------- */
 

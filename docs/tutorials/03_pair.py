@@ -80,10 +80,10 @@ plt.show()
 
 estimates = {
     "one image": cophase.Estimator(scene).estimate(frames_e["plus"]),
-    "pair": cophase.Estimator(pair).estimate_channels(frames_e),
+    "pair": cophase.Estimator(pair).estimate(frames_e),
     "pair, defocus fitted": cophase.Estimator(
         cophase.scene_set(pair, estimate__fit_optics=["defocus"])
-    ).estimate_channels(frames_e),
+    ).estimate(frames_e),
 }
 focus = models["plus"].mode_names.index("noll-4")
 for name, estimate in estimates.items():

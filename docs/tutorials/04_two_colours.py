@@ -67,7 +67,7 @@ for name in model.channels:
 # --------------------
 
 one = cophase.Estimator(one_colour).estimate(frames_e["K"])
-two = cophase.Estimator(two_colours).estimate_channels(frames_e)
+two = cophase.Estimator(two_colours).estimate(frames_e)
 print(two.report())
 
 # %%

@@ -72,6 +72,7 @@ int main(void)
     static char scene[CAPACITY], report[CAPACITY];
     const cophase_input frame = cophase_input_from_array(frame_e, COPHASE_F64, 1, PIXELS, PIXELS);
     const cophase_estimate_options options = {.struct_size = sizeof options, .read_noise_e = READ_NOISE_E};
+    const cophase_channel_images images = {.frames = &frame, .options = &options};
     cophase_estimator *estimator;
     cophase_estimate *estimate;
     cophase_estimate_info info;
@@ -89,7 +90,7 @@ int main(void)
     make_image(scene, frame_e);
 
     must(cophase_estimator_create(scene, NULL, NULL, &estimator));
-    must(cophase_estimator_estimate(estimator, &frame, NULL, &options, &estimate));
+    must(cophase_estimator_estimate(estimator, &images, 1, &estimate));
     must(cophase_estimate_text(estimate, COPHASE_TEXT_REPORT, 0, report, sizeof report, &length));
     must(cophase_estimate_get_info(estimate, &info, sizeof info));
     printf("%s\n", report);

@@ -58,7 +58,7 @@ static double error_of_focus_nm(const char *title, const char *scene, const coph
     size_t length;
 
     must(cophase_estimator_create(scene, NULL, NULL, &estimator));
-    must(cophase_estimator_estimate_channels(estimator, images, count, &estimate));
+    must(cophase_estimator_estimate(estimator, images, count, &estimate));
     must(cophase_estimate_get_info(estimate, &info, sizeof info));
     must(cophase_estimate_text(estimate, COPHASE_TEXT_WARNINGS, 0, warnings, sizeof warnings, &length));
     found_nm = numbers(info.modes);

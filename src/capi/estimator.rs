@@ -12,7 +12,7 @@ use super::status::{COPHASE_OK, cophase_status};
 use crate::machine::{check_threads, most_threads, start_threads, thread_pool};
 use crate::modal::{Calibration, cut_out_hint};
 use crate::pipeline::{Control, Estimate, Estimator, Images, Policy};
-use crate::scene::{Channel, Scene};
+use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
 use rayon::ThreadPool;
@@ -194,65 +194,39 @@ pub unsafe extern "C" fn cophase_estimator_progress(
     })
 }
 
-/// Estimates the static wavefront behind images. What is wrong with single images is in their reports; what to know of the
-/// whole is in COPHASE_TEXT_WARNINGS of the estimate.
-///
-/// frames: count x rows x cols as the scene says; images of the same static errors. Of frames with one row or column more the
-///   last is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part,
-///   are those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and
-///   column cols/2, rounded down.
-/// slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
-///   along x for every subaperture, then along y; NaN for all of an image without telemetry; NULL without any.
-/// options: NULL for the defaults.
-/// estimate: receives the handle.
-///
-/// COPHASE_BAD_SHAPE for frames or slopes of another shape. COPHASE_BAD_IMAGE if no image can be used (fewer than two in a
-/// MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the telescope cannot be built. COPHASE_DEVICE if the device that
-/// the scene names is absent or fails. COPHASE_INTERRUPTED after cophase_estimator_cancel.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_estimator_estimate(
-    estimator: *mut cophase_estimator,
-    frames: *const cophase_input,
-    slopes_mas: *const cophase_input,
-    options: *const cophase_estimate_options,
-    estimate: *mut *mut cophase_estimate,
-) -> cophase_status {
-    let handle = unsafe { find(estimator, "estimator") }.map(|estimator| &estimator.0);
-    Handle::change(handle, |working| {
-        let out = place(estimate, "estimate")?;
-        let mut images = unsafe { images(frames, options, working.estimator.scene()) }?;
-        images.slopes_mas = unsafe { slopes(slopes_mas, images.len()) }?;
-        let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&images))?;
-        unsafe { out.write(handle_of(made)) };
-        Ok(())
-    })
-}
-
-/// Images of one channel of a scene ([[image.channel]]). The layout of this struct is permanent.
+/// Images of one channel: of the only one of a scene, or of one that it lists ([[image.channel]]). The layout of this struct is permanent.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct cophase_channel_images {
-    /// Name of the channel, UTF-8; NULL for all: they are in the order of the scene.
+    /// Name of the channel, UTF-8; NULL for all: they are in the order of the scene. NULL where the scene lists no channels.
     pub channel: *const c_char,
-    /// Its images, count x rows x cols as the channel says.
+    /// Images of the same static errors, count x rows x cols as the channel says. Of frames with one row or column more the last
+    /// is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part, are those
+    /// of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column cols/2,
+    /// rounded down.
     pub frames: *const cophase_input,
     /// Its options; NULL for the defaults.
     pub options: *const cophase_estimate_options,
-    /// Telemetry of a MAP estimate, as for cophase_estimator_estimate: of its exposures, also where the channels are simultaneous;
-    /// NULL without. Slopes are used where every channel has them.
+    /// Telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure, along x for every
+    /// subaperture, then along y; NaN for all of an image without telemetry; NULL without any. Of its exposures, also where the
+    /// channels are simultaneous. Slopes are used where every channel has them.
     pub slopes_mas: *const cophase_input,
 }
 
-/// Estimates the static wavefront behind the images of several channels: defocuses, wavelengths.
+/// Estimates the static wavefront behind images: of one channel, or of several (defocuses, wavelengths). What is wrong with single
+/// images is in their reports; what to know of the whole is in COPHASE_TEXT_WARNINGS of the estimate.
 ///
-/// channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1, without a name,
-///   for a scene without channels, for which this is cophase_estimator_estimate.
+/// channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1 for a scene that
+///   lists none.
 /// estimate: receives the handle.
 ///
-/// COPHASE_BAD_SHAPE for images of other channels than the scene has; else as cophase_estimator_estimate.
+/// COPHASE_BAD_SHAPE for images of other channels than the scene has, and for frames or slopes of another shape.
+/// COPHASE_BAD_IMAGE if no image can be used (fewer than two in a MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the
+/// telescope cannot be built. COPHASE_DEVICE if the device that the scene names is absent or fails. COPHASE_INTERRUPTED after
+/// cophase_estimator_cancel.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_estimator_estimate_channels(
+pub unsafe extern "C" fn cophase_estimator_estimate(
     estimator: *mut cophase_estimator,
     channels: *const cophase_channel_images,
     count: usize,
@@ -262,15 +236,14 @@ pub unsafe extern "C" fn cophase_estimator_estimate_channels(
     Handle::change(handle, |working| {
         let out = place(estimate, "estimate")?;
         let first = source(channels, "channels")?;
-        let scene = working.estimator.scene();
-        let known = scene.channels();
-        if count != known.len().max(1) {
-            let wanted = known.len().max(1);
+        let known = working.estimator.scene().each_channel();
+        if count != known.len() {
+            let wanted = known.len();
             return Err(Error::Shape(format!(
                 "count is {count}: {wanted} is accepted, the number of channels of the scene"
             )));
         }
-        let each = (0..count).map(|index| unsafe { images_of_channel(&*first.add(index), index, scene) });
+        let each = (0..count).map(|index| unsafe { images_of_channel(&*first.add(index), index, &known) });
         let each = each.collect::<Result<Vec<_>>>()?;
         let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&each))?;
         unsafe { out.write(handle_of(made)) };
@@ -282,28 +255,31 @@ fn handle_of(estimate: Estimate) -> *mut cophase_estimate {
     Box::into_raw(Box::new(cophase_estimate(Handle::new::<cophase_estimate>(EstimateState::new(estimate), ()))))
 }
 
-/// A caller's images of a channel of `scene`: of that with their name or, without one, the channel `index`.
-unsafe fn images_of_channel(given: &cophase_channel_images, index: usize, scene: &Scene) -> Result<Images> {
-    let known = scene.channels();
-    let (name, own) = if given.channel.is_null() {
-        (None, known.get(index))
-    } else {
-        let name = unsafe { text(given.channel, "channels->channel") }?;
-        let own = known.iter().find(|channel| channel.name == name).ok_or_else(|| no_channel(name, known))?;
-        (Some(name), Some(own))
+/// A caller's images of one of the channels `known`, names and scenes: of that with their name or, without one, the channel `index`.
+unsafe fn images_of_channel(
+    given: &cophase_channel_images,
+    index: usize,
+    known: &[(Option<&str>, &Scene)],
+) -> Result<Images> {
+    let name = if given.channel.is_null() { None } else { Some(unsafe { text(given.channel, "channels->channel") }?) };
+    let (own_name, own) = match name {
+        None => known[index],
+        Some(name) => *known.iter().find(|(own, _)| *own == Some(name)).ok_or_else(|| no_channel(name, known))?,
     };
-    let images = unsafe { images(given.frames, given.options, own.map_or(scene, |channel| &channel.scene)) };
+    let images = unsafe { images(given.frames, given.options, own) };
     let images = images.and_then(|images| {
         let slopes_mas = unsafe { slopes(given.slopes_mas, images.len()) }?;
-        Ok(Images { slopes_mas, ..images })
+        Ok(Images { slopes_mas, channel: name.map(str::to_owned), ..images })
     });
-    let images = images.map_err(|error| error.of_channel(name.unwrap_or(&index.to_string())))?;
-    Ok(Images { channel: name.map(str::to_owned), ..images })
+    images.map_err(|error| match own_name {
+        Some(_) => error.of_channel(name.unwrap_or(&index.to_string())),
+        None => error,
+    })
 }
 
 /// Refuses a name that no channel has.
-fn no_channel(name: &str, known: &[Channel]) -> Error {
-    let names: Vec<&str> = known.iter().map(|channel| channel.name.as_str()).collect();
+fn no_channel(name: &str, known: &[(Option<&str>, &Scene)]) -> Error {
+    let names: Vec<&str> = known.iter().filter_map(|(name, _)| *name).collect();
     let accepted =
         if names.is_empty() { "NULL, because it has no [[image.channel]],".into() } else { names.join(", ") };
     Error::Shape(format!("the channel '{name:.60}' is not in the scene: {accepted} is accepted"))

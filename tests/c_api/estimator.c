@@ -65,6 +65,15 @@ static cophase_estimator *estimator_of(const char *scene, const cophase_estimato
     return estimator;
 }
 
+/* Estimate from the images of the only channel. */
+static cophase_status estimate_of(cophase_estimator *estimator, const cophase_input *frames, const cophase_input *slopes,
+                                  const cophase_estimate_options *options, cophase_estimate **estimate)
+{
+    const cophase_channel_images images = {NULL, frames, options, slopes};
+
+    return cophase_estimator_estimate(estimator, &images, 1, estimate);
+}
+
 /* Structs of a program that was built against a later header: three fields more. */
 struct later_options {
     cophase_estimate_options known;
@@ -106,7 +115,7 @@ static void misuse(const char *scene)
 }
 
 #define ESTIMATE_REFUSED(status, part, frames, slopes, options) \
-    REFUSED(status, part, cophase_estimator_estimate(estimator, frames, slopes, options, &none))
+    REFUSED(status, part, estimate_of(estimator, frames, slopes, options, &none))
 
 /* Frames, slopes and options that do not fit: a sentence each, before any image is used. */
 static void refusals(const struct sky *s, cophase_estimator *estimator)
@@ -375,7 +384,7 @@ static void as_a_camera_delivers_them(const struct sky *s, const char *scene)
     for (i = 0; i < IMAGES; i++)
         marked[i * s->pixels + hot] = NAN;
     frames.data = marked;
-    CHECK(cophase_estimator_estimate(estimator, &frames, &slopes, NULL, &one) == COPHASE_OK);
+    CHECK(estimate_of(estimator, &frames, &slopes, NULL, &one) == COPHASE_OK);
     CHECK(text_has(one, COPHASE_TEXT_WARNINGS, 0, "4 pixels are not finite and were masked"));
 
     /* Powers of two: nothing is rounded. */
@@ -389,7 +398,7 @@ static void as_a_camera_delivers_them(const struct sky *s, const char *scene)
     calibration.gain_e = 2.0;
     bad[hot] = 1;
     options.calibration = &calibration;
-    CHECK(cophase_estimator_estimate(estimator, &frames, &slopes, &options, &other) == COPHASE_OK);
+    CHECK(estimate_of(estimator, &frames, &slopes, &options, &other) == COPHASE_OK);
     CHECK(!text_has(other, COPHASE_TEXT_WARNINGS, 0, "not finite"));
     cophase_estimator_destroy(estimator); /* its estimates stay */
     CHECK(cophase_estimate_get_info(one, &info, sizeof info) == COPHASE_OK);
@@ -459,7 +468,7 @@ static void modal(const struct sky *s, const char *scene, const char *table)
     write_table(table);
     estimator = estimator_of(whole, &options);
     free(text), free(named), free(quoted), free(whole);
-    CHECK(cophase_estimator_estimate(estimator, &frame, NULL, NULL, &estimate) == COPHASE_OK);
+    CHECK(estimate_of(estimator, &frame, NULL, NULL, &estimate) == COPHASE_OK);
     CHECK(cophase_estimate_get_info(estimate, &info, sizeof info) == COPHASE_OK);
     CHECK(info.method == COPHASE_METHOD_MODAL && info.policy == COPHASE_POLICY_REALTIME && info.ao_knowledge == 0);
     CHECK(info.images == 1 && info.used == 1 && info.iterations == 0 && isnan(info.images_to_halve));
@@ -498,7 +507,7 @@ int main(int argc, char **argv)
     refusals(&s, estimator);
 
     frames = frames_of(&s), slopes = slopes_of(&s);
-    CHECK(cophase_estimator_estimate(estimator, &frames, &slopes, &later.known, &estimate) == COPHASE_OK);
+    CHECK(estimate_of(estimator, &frames, &slopes, &later.known, &estimate) == COPHASE_OK);
     cophase_estimator_destroy(estimator);
     if (estimate == NULL)
         return 1;

@@ -76,11 +76,12 @@ static void estimate(const struct setting *s)
 {
     static cophase_estimator *kept;
     const cophase_input frames = frames_of(s, 1);
+    const cophase_channel_images images = {NULL, &frames, NULL, NULL};
     cophase_estimate *made = NULL;
 
     if (kept == NULL)
         CHECK(cophase_estimator_create(scene, NULL, NULL, &kept) == COPHASE_OK);
-    CHECK(cophase_estimator_estimate(kept, &frames, NULL, NULL, &made) == COPHASE_OK);
+    CHECK(cophase_estimator_estimate(kept, &images, 1, &made) == COPHASE_OK);
     cophase_estimate_destroy(made);
 }
 

@@ -150,23 +150,19 @@ static void estimators(const struct setting *s, const char *scene)
     REFUSED(COPHASE_BAD_VALUE, "options->threads is 100000", cophase_estimator_create(scene, NULL, &options, &estimator));
     NULL_IS_REFUSED("estimator", cophase_estimator_cancel(NULL));
     NULL_IS_REFUSED("estimator", cophase_estimator_progress(NULL, NULL, NULL, NULL));
-    NULL_IS_REFUSED("estimator", cophase_estimator_estimate(NULL, &frame, NULL, NULL, &estimate));
     CHECK(estimator == NULL);
     missing_file(scene);
     CHECK(cophase_estimator_create(scene, NULL, NULL, &estimator) == COPHASE_OK);
     CHECK(cophase_estimator_progress(estimator, NULL, NULL, NULL) == COPHASE_OK);
-    NULL_IS_REFUSED("frames", cophase_estimator_estimate(estimator, NULL, NULL, NULL, &estimate));
-    NULL_IS_REFUSED("estimate", cophase_estimator_estimate(estimator, &frame, NULL, NULL, NULL));
     memset(&channel, 0, sizeof channel);
-    NULL_IS_REFUSED("estimator", cophase_estimator_estimate_channels(NULL, &channel, 1, &estimate));
-    NULL_IS_REFUSED("channels", cophase_estimator_estimate_channels(estimator, NULL, 1, &estimate));
-    NULL_IS_REFUSED("frames", cophase_estimator_estimate_channels(estimator, &channel, 1, &estimate));
-    REFUSED(COPHASE_BAD_SHAPE, "count is 2: 1 is accepted",
-            cophase_estimator_estimate_channels(estimator, &channel, 2, &estimate));
+    NULL_IS_REFUSED("estimator", cophase_estimator_estimate(NULL, &channel, 1, &estimate));
+    NULL_IS_REFUSED("channels", cophase_estimator_estimate(estimator, NULL, 1, &estimate));
+    NULL_IS_REFUSED("frames", cophase_estimator_estimate(estimator, &channel, 1, &estimate));
+    REFUSED(COPHASE_BAD_SHAPE, "count is 2: 1 is accepted", cophase_estimator_estimate(estimator, &channel, 2, &estimate));
     channel.frames = &frame, channel.channel = "H";
     REFUSED(COPHASE_BAD_SHAPE, "the channel 'H' is not in the scene",
-            cophase_estimator_estimate_channels(estimator, &channel, 1, &estimate));
-    NULL_IS_REFUSED("estimate", cophase_estimator_estimate_channels(estimator, &channel, 1, NULL));
+            cophase_estimator_estimate(estimator, &channel, 1, &estimate));
+    NULL_IS_REFUSED("estimate", cophase_estimator_estimate(estimator, &channel, 1, NULL));
     cophase_estimator_destroy(estimator);
     cophase_estimator_destroy(NULL);
 

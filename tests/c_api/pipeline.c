@@ -93,8 +93,9 @@ static void print(const cophase_estimate *estimate)
     free(text), free(images), free(sigma_nm), free(coefficients_nm);
 }
 
-/* Estimate from `frames` and `slopes`, if any, of the first of the channels that `names` lists, which those of the others follow. */
-static cophase_estimate *of_channels(cophase_estimator *estimator, cophase_input frames, const cophase_input *slopes,
+/* Estimate from `frames` and `slopes`, if any, of the first of the channels that `names` lists, which those of the others follow; of the
+ * only channel, without a name, where `names` is NULL. */
+static cophase_estimate *estimate_of(cophase_estimator *estimator, cophase_input frames, const cophase_input *slopes,
                                      char *names)
 {
     cophase_input each[4], telemetry[4];
@@ -103,20 +104,23 @@ static cophase_estimate *of_channels(cophase_estimator *estimator, cophase_input
     size_t count = 0;
     char *name;
 
-    for (name = strtok(names, ","); name != NULL && count < 4; name = strtok(NULL, ","), count++) {
+    name = names == NULL ? NULL : strtok(names, ",");
+    do {
         each[count] = frames;
         each[count].data = (const double *)frames.data + count * frames.count * frames.rows * frames.cols;
         channels[count].channel = name;
         channels[count].frames = &each[count];
         channels[count].options = NULL;
         channels[count].slopes_mas = NULL;
-        if (slopes == NULL)
-            continue;
-        telemetry[count] = *slopes;
-        telemetry[count].data = (const double *)slopes->data + count * slopes->rows * slopes->cols;
-        channels[count].slopes_mas = &telemetry[count];
-    }
-    must(cophase_estimator_estimate_channels(estimator, channels, count, &estimate));
+        if (slopes != NULL) {
+            telemetry[count] = *slopes;
+            telemetry[count].data = (const double *)slopes->data + count * slopes->rows * slopes->cols;
+            channels[count].slopes_mas = &telemetry[count];
+        }
+        count++;
+        name = name == NULL ? NULL : strtok(NULL, ",");
+    } while (name != NULL && count < 4);
+    must(cophase_estimator_estimate(estimator, channels, count, &estimate));
     return estimate;
 }
 
@@ -143,10 +147,7 @@ int main(int argc, char **argv)
             return 2;
     }
     must(cophase_estimator_create(scene, NULL, NULL, &estimator));
-    if (argc == 7 || argc == 9)
-        estimate = of_channels(estimator, frames, argc == 9 ? &slopes : NULL, argv[argc - 1]);
-    else
-        must(cophase_estimator_estimate(estimator, &frames, argc == 8 ? &slopes : NULL, NULL, &estimate));
+    estimate = estimate_of(estimator, frames, argc >= 8 ? &slopes : NULL, argc % 2 == 1 ? argv[argc - 1] : NULL);
     cophase_estimator_destroy(estimator);
     print(estimate);
     cophase_estimate_destroy(estimate);

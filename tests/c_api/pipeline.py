@@ -20,11 +20,11 @@ def main(scene, frames, count, rows, cols, *others):
     with open(scene, encoding="utf-8") as file:
         estimator = cophase.Estimator(file.read())
     frames_e = np.fromfile(frames).reshape(-1, int(count), int(rows), int(cols))
-    if names is None:
-        estimate = estimator.estimate(frames_e[0], slopes_mas=None if slopes_mas is None else slopes_mas[0])
-    else:
-        own = None if slopes_mas is None else dict(zip(names, slopes_mas))
-        estimate = estimator.estimate_channels(dict(zip(names, frames_e)), slopes_mas=own)
+
+    def given(each):
+        return each if each is None else each[0] if names is None else dict(zip(names, each))
+
+    estimate = estimator.estimate(given(frames_e), slopes_mas=given(slopes_mas))
     for name, nm, sigma_nm in zip(estimate.mode_names, estimate.coefficients_nm, estimate.sigma_nm):
         print("coefficient", name, bits(nm), bits(sigma_nm))
     for index, image in enumerate(estimate.images):

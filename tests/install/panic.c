@@ -13,7 +13,7 @@ int main(void)
     if (status == COPHASE_OK)
         status = cophase_estimator_create(scene, NULL, NULL, &estimator);
     if (status == COPHASE_OK)
-        status = cophase_estimator_estimate(estimator, NULL, NULL, NULL, &estimate);
+        status = cophase_estimator_estimate(estimator, NULL, 0, &estimate);
     cophase_estimator_destroy(estimator);
     printf("%s\n", cophase_status_name(status));
     return 0;

@@ -105,18 +105,13 @@ fn anchored(scene: Scene) -> Result<Scene> {
         full.push((key, toml_edit::Value::from(path.display().to_string()).to_string()));
         Ok(())
     };
-    if scene.channels().is_empty() {
-        for (key, file) in scene_files(&scene) {
-            add(key.to_owned(), file)?;
-        }
-    }
     // A file of one channel is not that of the others.
-    for (number, channel) in scene.channels().iter().enumerate() {
-        for (key, file) in scene_files(&channel.scene) {
-            match key.strip_prefix("image.") {
-                Some(key) => add(format!("image.channel.{}.{key}", channel.name), file)?,
-                None if number == 0 => add(key.to_owned(), file)?,
-                None => {}
+    for (number, (name, own)) in scene.each_channel().into_iter().enumerate() {
+        for (key, file) in scene_files(own) {
+            match (name, key.strip_prefix("image.")) {
+                (Some(name), Some(key)) => add(format!("image.channel.{name}.{key}"), file)?,
+                _ if number == 0 => add(key.to_owned(), file)?,
+                _ => {}
             }
         }
     }

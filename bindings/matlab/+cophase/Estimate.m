@@ -63,12 +63,8 @@ classdef Estimate < cophase.Handle
             if nargin < 2
                 error('cophase:BAD_ARGUMENT', 'frames is missing: use the method estimate of a cophase.Estimator');
             end
-            if iscell(frames) || isstruct(frames)
-                [names, frames, chosen] = cophase.Estimate.of_channels(frames, varargin);
-                self.create('estimate.create_channels', cophase.Handle.number(estimator), names, frames, chosen);
-            else
-                self.create('estimate.create', cophase.Handle.number(estimator), frames, varargin{:});
-            end
+            [names, frames, chosen] = cophase.Estimate.of_channels(frames, varargin);
+            self.create('estimate.create', cophase.Handle.number(estimator), names, frames, chosen);
             info = cophase_mex('estimate.info', self.id);
             self.info = info;
             self.method = info.method;
@@ -185,6 +181,9 @@ classdef Estimate < cophase.Handle
                 names = fieldnames(given);
                 frames = struct2cell(given);
             else
+                if ~iscell(given)
+                    given = {given};
+                end
                 names = cell(numel(given), 1);
                 frames = given(:);
             end

@@ -34,9 +34,7 @@ typedef struct channel {
 
 typedef struct job {
     cophase_estimator *estimator;
-    channel only;
-    cophase_input slopes_mas;
-    cophase_channel_images *channels; /* NULL for the only one */
+    cophase_channel_images *channels;
     size_t count;
     cophase_estimate *estimate;
 } job;
@@ -45,10 +43,7 @@ static cophase_status work(void *argument)
 {
     job *job = (struct job *)argument;
 
-    if (job->channels != NULL)
-        return cophase_estimator_estimate_channels(job->estimator, job->channels, job->count, &job->estimate);
-    return cophase_estimator_estimate(job->estimator, &job->only.frames, job->slopes_mas.data == NULL ? NULL : &job->slopes_mas,
-                                      &job->only.options, &job->estimate);
+    return cophase_estimator_estimate(job->estimator, job->channels, job->count, &job->estimate);
 }
 
 static cophase_status cancel(const void *estimator)
@@ -114,25 +109,9 @@ static void fill(channel *channel, const mxArray *frames, const mxArray **given)
         channel->options.read_noise_e = number(given[READ_NOISE_E], "read_noise_e"), channel->options.has_read_noise = 1;
 }
 
-/* (estimator, frames, 'slopes_mas', slopes_mas, ...): a new estimate. */
+/* (estimator, names, frames, options): a new estimate. Cells with an element for each channel: its name or [], its frames,
+ * a cell of its NAME, VALUE, ... */
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
-{
-    const mxArray *given[ESTIMATE_OPTION_COUNT];
-    job job;
-
-    memset(&job, 0, sizeof job);
-    job.estimator = (cophase_estimator *)handle_of(in[0], ESTIMATOR)->object;
-    options(inputs - 2, in + 2, ESTIMATE_OPTIONS, given);
-    fill(&job.only, in[1], given);
-    if (given[SLOPES_MAS] != NULL)
-        job.slopes_mas = slopes_of(given[SLOPES_MAS]);
-    interruptible(cancel, job.estimator, work, &job);
-    out[0] = handle_new(ESTIMATE, job.estimate, 0);
-}
-
-/* (estimator, names, frames, options): a new estimate from several channels. Cells with an element for each channel: its name or
- * [], its frames, a cell of its NAME, VALUE, ... */
-static void do_create_channels(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const size_t count = mxGetNumberOfElements(in[2]);
     channel *each = (channel *)mxCalloc(count + 1, sizeof *each);
@@ -278,8 +257,7 @@ static void do_correct(int outputs, mxArray **out, int inputs, const mxArray **i
 
 const command ESTIMATE_COMMANDS[] = {
     {"estimator.create", 1, ANY_NUMBER, do_create_estimator},
-    {"estimate.create", 2, ANY_NUMBER, do_create},
-    {"estimate.create_channels", 4, 4, do_create_channels},
+    {"estimate.create", 4, 4, do_create},
     {"estimate.info", 1, 1, do_info},
     {"estimate.images", 2, 2, do_images},
     {"estimate.array", 3, 3, do_array},

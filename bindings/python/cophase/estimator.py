@@ -138,31 +138,38 @@ class Estimator(Handle):
 
     def estimate(
         self,
-        frames: ArrayLike,
-        mask: ArrayLike | None = None,
-        slopes_mas: ArrayLike | None = None,
-        read_noise_e: float | None = None,
+        frames: ArrayLike | Mapping[str, ArrayLike] | Sequence[ArrayLike],
+        mask: Any = None,
+        slopes_mas: Any = None,
+        read_noise_e: Any = None,
         *,
-        dark: ArrayLike | None = None,
-        flat: ArrayLike | None = None,
-        gain_e: float | None = None,
-        saturation: float | None = None,
+        dark: Any = None,
+        flat: Any = None,
+        gain_e: Any = None,
+        saturation: Any = None,
     ) -> Estimate:
-        """Estimates the static wavefront behind images. Ctrl-C cancels it, within a second or two at the size of Keck.
+        """Estimates the static wavefront behind images: of one channel, or of several (defocuses, wavelengths).
+
+        Ctrl-C cancels it, within a second or two at the size of Keck.
 
         electrons = (raw - dark) * gain / flat; without dark, flat and gain, frames are electrons.
 
+        The images of several channels (``[[image.channel]]``) are a mapping by the names of the channels, or a list in the
+        order of the scene. An option is then that of all, or a mapping by the names (by the positions in a list) of those
+        channels that have one.
+
         Parameters
         ----------
-        frames : (rows, cols) or (images, rows, cols) array
+        frames : (rows, cols) or (images, rows, cols) array, or a mapping or list of such arrays
             Images of the same static errors, two or more for a MAP estimate, of the size that the scene says; of those
-            with one row or column more the last is left out. Values that are not finite are bad pixels. The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16,
-            int32, uint8 and bool are read in place, other types are copied if NumPy casts them safely.
+            with one row or column more the last is left out. Values that are not finite are bad pixels. The optical
+            axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16, int32, uint8
+            and bool are read in place, other types are copied if NumPy casts them safely.
         mask : (rows, cols) or (images, rows, cols) array, optional
             Bad pixels, which take no part, are not 0: of all images, or of each.
         slopes_mas : (images, slopes) array, optional
             Telemetry of a MAP estimate: slopes of the wavefront sensor, mean over each exposure, mas, along x for every
-            subaperture, then along y; NaN for all of an image without telemetry.
+            subaperture, then along y; NaN for all of an image without telemetry. Used where every channel has them.
         read_noise_e : float, optional
             Read noise of a pixel, electrons RMS, 0 for none; the scene's by default.
         dark : (rows, cols) array, optional
@@ -177,7 +184,7 @@ class Estimator(Handle):
         Raises
         ------
         BadShapeError
-            For frames, slopes or maps of another shape.
+            For images of other channels than the scene has, and for frames, slopes or maps of another shape.
         BadImageError
             If no image can be used (fewer than two in a MAP estimate).
         BadSceneError, BadFileError
@@ -186,43 +193,11 @@ class Estimator(Handle):
             If the device that the scene names is absent or fails.
         Interrupted
             After :meth:`cancel`.
-        """
-        pixels, chosen = _images(frames, mask, read_noise_e, dark=dark, flat=flat, gain_e=gain_e, saturation=saturation)
-        slopes = _slopes(slopes_mas)
-        frame_view, slope_view = input_view(pixels), ffi.NULL if slopes is None else input_view(slopes)
-        return self._estimate(lib.cophase_estimator_estimate, frame_view, slope_view, chosen.pointer)
-
-    def estimate_channels(
-        self,
-        frames: Mapping[str, ArrayLike] | Sequence[ArrayLike],
-        *,
-        mask: Any = None,
-        slopes_mas: Any = None,
-        read_noise_e: Any = None,
-        dark: Any = None,
-        flat: Any = None,
-        gain_e: Any = None,
-        saturation: Any = None,
-    ) -> Estimate:
-        """Estimates the static wavefront behind images of several channels: defocuses, wavelengths.
-
-        Parameters
-        ----------
-        frames : mapping or sequence of arrays
-            Images of each channel, by its name; or a list in the order of the scene. Each as for :meth:`estimate`.
-        mask, slopes_mas, read_noise_e, dark, flat, gain_e, saturation : optional
-            As for :meth:`estimate`, for all channels; or a mapping by the names of those that have one (by their
-            positions where frames is a list). Slopes are used where every channel has them.
-
-        Raises
-        ------
-        BadShapeError
-            For images of other channels than the scene has; else as :meth:`estimate`.
 
         Examples
         --------
         >>> estimator = cophase.Estimator(cophase.preset("keck-pair"))
-        >>> estimate = estimator.estimate_channels({"plus": plus_e, "minus": minus_e})
+        >>> estimate = estimator.estimate({"plus": plus_e, "minus": minus_e})
         """
         given = {
             "mask": mask,
@@ -234,7 +209,8 @@ class Estimator(Handle):
             "saturation": saturation,
         }
         is_named = isinstance(frames, Mapping)
-        keys: list[Any] = list(frames) if is_named else list(range(len(frames)))
+        each: Any = frames if isinstance(frames, (Mapping, list, tuple)) else [frames]
+        keys: list[Any] = list(each) if is_named else list(range(len(each)))
         for name, value in given.items():
             if isinstance(value, Mapping) and not set(value) <= set(keys):
                 odd = sorted(set(value) - set(keys), key=str)
@@ -243,24 +219,20 @@ class Estimator(Handle):
         for channel, key in zip(channels, keys):
             own = {name: value.get(key) if isinstance(value, Mapping) else value for name, value in given.items()}
             slopes = _slopes(own.pop("slopes_mas"))
-            pixels, chosen = _images(frames[key], **own)
+            pixels, chosen = _images(each[key], **own)
             view, slope_view = input_view(pixels), ffi.NULL if slopes is None else input_view(slopes)
             channel.frames, channel.options, channel.slopes_mas = view, chosen.pointer, slope_view
             kept += [pixels, chosen, view, slopes, slope_view]
             if is_named:
                 kept.append(ffi.new("char[]", text("the name of a channel", key)))
                 channel.channel = kept[-1]
-        return self._estimate(lib.cophase_estimator_estimate_channels, channels, len(keys), kept=kept)
-
-    def _estimate(self, function: Any, *inputs: Any, kept: Any = None) -> Estimate:
-        """The estimate that a function of the library makes; ``kept`` lives as long as the call."""
         out = ffi.new("cophase_estimate **")
 
         def call() -> None:
-            check(function(self._handle, *inputs, out))
+            check(lib.cophase_estimator_estimate(self._handle, channels, len(keys), out))
 
         interruptible(call, self.cancel)
-        del kept
+        del kept  # which must live as long as the call
         return Estimate(ffi.gc(out[0], lib.cophase_estimate_destroy))
 
     @property

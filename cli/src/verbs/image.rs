@@ -136,11 +136,7 @@ pub fn check_memory(scene: &Scene) -> Result<()> {
         let (rows, columns) = scene.image.frame_shape();
         (scene.image.count as u64).saturating_mul((rows * columns) as u64).saturating_mul(BYTES_PER_PIXEL)
     };
-    let scenes: Vec<&Scene> = match scene.channels() {
-        [] => vec![scene],
-        channels => channels.iter().map(|channel| &channel.scene).collect(),
-    };
-    let bytes = scenes.into_iter().map(bytes).fold(0, u64::saturating_add);
+    let bytes = scene.each_channel().into_iter().map(|(_, own)| bytes(own)).fold(0, u64::saturating_add);
     let (images, (rows, columns)) =
         (cophase_view::terminal::counted(scene.image.count, "image"), scene.image.frame_shape());
     let each = if scene.channels().is_empty() { "" } else { " in each of its channels" };
