@@ -181,12 +181,11 @@ impl Estimator {
             let cache = cache.for_scene(&self.scene, &scene);
             channels.push(ChannelImages { name, scene, images: consistent.images, cache });
         }
-        let (method, chosen) = choose_method(&mut channels)?;
-        remarks.extend(chosen);
+        remarks.extend(choose_method(&mut channels)?);
         // One that lists its channels stays as it was given: what a file replaces is a value of its channel.
         let scene = match &channels[..] {
             [ChannelImages { name: None, scene, .. }] => scene.clone(),
-            _ => with_method(&self.scene, method)?,
+            _ => with_method(&self.scene, channels[0].scene.estimate.method)?,
         };
         Ok(Ready { scene, channels, notes: shortfall.into_iter().chain(notes).collect(), remarks })
     }
@@ -258,19 +257,19 @@ fn planned(scene: &Scene, control: &Control) -> Result<(Scene, Option<String>)> 
     Ok((plan.scene, shortfall))
 }
 
-/// The method of `channels`, with a sentence where `estimate.method = "auto"` chooses it: the images of one channel suffice that change. An only
-/// channel without a name gets it.
-fn choose_method(channels: &mut [ChannelImages]) -> Result<(Method, Option<String>)> {
+/// Gives the scenes of `channels` the method that `estimate.method = "auto"` chooses for all of them, where they have it, and returns a
+/// sentence on it: the images of one channel suffice that change.
+fn choose_method(channels: &mut [ChannelImages]) -> Result<Option<String>> {
     if channels[0].scene.estimate.method != Method::Auto {
-        return Ok((channels[0].scene.estimate.method, None));
+        return Ok(None);
     }
     let mut each: Vec<_> = channels.iter().map(|channel| method_for(&channel.scene, &channel.images)).collect();
     let first = each.iter().position(|(method, _)| *method == Method::FullPhase).unwrap_or_default();
     let (method, because) = each.swap_remove(first);
-    for channel in channels.iter_mut().filter(|channel| channel.name.is_none()) {
+    for channel in channels {
         channel.scene = with_method(&channel.scene, method)?;
     }
-    Ok((method, Some(format!("estimate.method = \"auto\" chose \"{}\": {because}.", method.word()))))
+    Ok(Some(format!("estimate.method = \"auto\" chose \"{}\": {because}.", method.word())))
 }
 
 fn with_method(scene: &Scene, method: Method) -> Result<Scene> {

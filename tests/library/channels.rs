@@ -149,6 +149,15 @@ fn two_colours_find_the_whole_wavelengths_of_pistons() {
 }
 
 #[test]
+fn auto_gives_the_estimate_of_the_method_that_it_chooses() {
+    let scene = with_channels(PAIR, &[]);
+    let images = Images::simulated_channels(&scene).unwrap();
+    let found = estimate(&scene.with(&[("estimate.method", "auto")]).unwrap(), &images);
+    assert_eq!(found.coefficients_nm, estimate(&scene, &images).coefficients_nm);
+    assert!(found.remarks.iter().any(|remark| remark.contains("chose \"modal\"")), "{:?}", found.remarks);
+}
+
+#[test]
 fn images_of_other_channels_than_the_scenes_are_refused() {
     let scene = with_channels(PAIR, &[]);
     let images = Images::simulated_channels(&scene).unwrap();
