@@ -996,7 +996,7 @@ cophase_status cophase_session_evaluate(cophase_session *session,
 
 /* The result of a group of the last fit with its covariance, in some hundred evaluations of each channel: of one channel that of the
  * noise, scaled by chi-square where the model misfits. The fits of several channels are combined by their information at the fitted
- * wavefronts, and the whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate_channels finds in
+ * wavefronts, and the whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate finds in
  * these frames by the policy COPHASE_POLICY_REALTIME.
  *
  * group: number of the group in the last fit, from 0.
