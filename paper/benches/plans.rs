@@ -87,7 +87,7 @@ fn own_model(scene: &Scene) -> Result<Scene> {
 fn read(model: &Scene, scene: &Scene) -> Result<(f64, [f64; 2])> {
     let made = source::simulate(scene)?;
     let estimator = ModalFitter::new(model, false)?;
-    let precision = match model.estimate.precision {
+    let precision = match model.estimate.precision() {
         scene::Precision::F32 => Precision::F32,
         scene::Precision::F64 => Precision::F64,
     };

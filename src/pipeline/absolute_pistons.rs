@@ -12,7 +12,7 @@ use super::policy::Policy;
 use super::sequence_channel::{SequenceChannel, progress_of};
 use crate::modal::{ColourEstimate, ModelCache, PistonInteger, pistons_near, resolve_estimates};
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
-use crate::scene::{AoKnowledge, Scene};
+use crate::scene::{self, AoKnowledge, Method, Scene, Telemetry};
 use crate::statics::{
     ChannelSequence, Iteration, NcpaBasis, SequenceRetrieval, StaticsSettings, TiltSelection, estimate_static_errors,
 };
@@ -131,12 +131,12 @@ impl Colours<'_, '_> {
 
 /// `scene` of a sequence, for modal fits of its images. Low-order turbulence is fitted with the NCPA.
 fn modal_scene(scene: &Scene) -> Result<Scene> {
-    scene.without("estimate.ao_knowledge")?.without("estimate.telemetry")?.with(&[
-        ("estimate.method", "modal"),
-        ("modes.file", ""),
-        ("modes.ncpa", "zernike"),
-        ("modes.ncpa_count", "65"),
-    ])
+    scene.changed(|sections| {
+        let (estimate, modes) = (&mut sections.estimate, &mut sections.modes);
+        estimate.method = Method::Modal;
+        (estimate.ao_knowledge, estimate.telemetry) = (None, Telemetry::Check);
+        (modes.file, modes.ncpa, modes.ncpa_count) = (None, scene::NcpaBasis::Zernike, 65);
+    })
 }
 
 impl Electrons<'_> {

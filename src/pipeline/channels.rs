@@ -7,11 +7,11 @@ use super::estimate::{Estimate, Figure, OpticalParameter};
 use super::explain::explain;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
-use super::model_selection::Selected;
+use super::model_selection::{Extension, Selected};
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
 use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, has_diversity, joint};
-use crate::scene::{Optic, Scene, Weighting};
+use crate::scene::{Optic, Scene, Sections, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Axis, concatenate};
@@ -63,7 +63,7 @@ pub(super) fn estimate(
             (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
         let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
         let own = Channels::new(scene, policy, control, &in_focus)?;
-        let own = own.extended(selected.map_or(&[], |selected| &selected.settings))?;
+        let own = own.extended(selected.map_or(&[], |selected| &selected.extensions))?;
         for (number, channel) in in_focus.iter().enumerate() {
             match own.fit_in_focus(number, others.as_ref())? {
                 Ok(fitted) => {
@@ -123,11 +123,11 @@ impl<'a> Channels<'a> {
         Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control })
     }
 
-    /// These channels by scenes with `settings`, which no channel extends.
-    fn extended(&self, settings: &[(&'static str, String)]) -> Result<Self> {
-        let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
+    /// These channels by scenes with `extensions`, which no channel extends further.
+    fn extended(&self, extensions: &[Extension]) -> Result<Self> {
+        let add = |sections: &mut Sections| extensions.iter().for_each(|extension| extension.add_to(sections));
         let scenes = self.scenes.iter().map(|(own, cache)| {
-            let extended = own.with(&settings)?;
+            let extended = own.changed(add)?;
             let cache = cache.for_scene(own, &extended);
             Ok((extended, cache))
         });
@@ -161,7 +161,7 @@ impl<'a> Channels<'a> {
     fn fit_with_extensions(&self, series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
         let (mut fits, joint) = self.fit(series)?;
         let Some((chosen, selected)) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
-        let extended = self.extended(&selected.settings)?;
+        let extended = self.extended(&selected.extensions)?;
         let (mut fits, joint) = extended.fit(None)?;
         extended.explain(&mut fits)?;
         fits[chosen].selected = Some(selected);
@@ -251,13 +251,7 @@ impl<'a> Channels<'a> {
 
 /// The scene by which one channel is fitted: without the amplitude of its diversity, which only all channels together determine.
 fn own_scene(scene: &Scene) -> Result<Scene> {
-    let others: Vec<Optic> =
-        scene.estimate.fit_optics.iter().copied().filter(|optic| *optic != Optic::Defocus).collect();
-    if others.len() == scene.estimate.fit_optics.len() {
-        return Ok(scene.clone());
-    }
-    let words: Vec<String> = others.iter().map(|optic| format!("\"{}\"", optic.word())).collect();
-    scene.with_override("estimate.fit_optics", &format!("[{}]", words.join(", ")))
+    scene.changed(|sections| sections.estimate.fit_optics.retain(|optic| *optic != Optic::Defocus))
 }
 
 /// The estimate of all channels, from the joint one and those of each channel.

@@ -35,7 +35,7 @@ use super::orientation::Poke;
 use super::policy::Policy;
 use crate::io::Quantity as Card;
 use crate::modal::{FittedImage, ModalEstimate, ModelCache};
-use crate::scene::Scene;
+use crate::scene::{Method, ModelChoice, Scene, Telemetry};
 use crate::{Error, Result};
 use finding::with;
 use ndarray::Axis;
@@ -85,11 +85,13 @@ pub fn check(
     let scene = cut_out.as_ref().map_or(scene, |(cut_out, _)| cut_out);
     let (images, _) = images.without_odd_edge(scene.image.frame_shape());
     let trusting = Images { trust: Trust::Scene, ..images.into_owned() };
-    let mut settings = vec![("estimate.fit_optics", "[]"), ("estimate.method", "modal"), ("estimate.model", "scene")];
-    if scene.estimate.budget_nm.is_some() {
-        settings.push(("estimate.budget_nm", ""));
-    }
-    let plain = scene.with(&settings)?;
+    let plain = scene.changed(|sections| {
+        let estimate = &mut sections.estimate;
+        (estimate.method, estimate.model) = (Method::Modal, ModelChoice::Scene);
+        (estimate.ao_knowledge, estimate.telemetry) = (None, Telemetry::Check);
+        estimate.fit_optics.clear();
+        estimate.budget_nm = None;
+    })?;
     let consistent = reconcile(&trusting, &plain)?;
     let mut work = Work {
         images: selected(&consistent.images),

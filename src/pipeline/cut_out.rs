@@ -26,12 +26,14 @@ pub(super) fn scene_of_cut_out(scene: &Scene, images: &[&Images]) -> Result<Opti
         return Ok(None);
     }
     let pixels = rows.max(columns);
-    let side = |size: usize| if size == pixels { String::new() } else { size.to_string() };
-    let values = [pixels.to_string(), side(columns), side(rows)];
-    let settings: Vec<(&str, &str)> = KEYS.into_iter().zip(values.iter().map(String::as_str)).collect();
+    let side = |size: usize| (size != pixels).then_some(size);
+    let cut_out = scene.changed(|sections| {
+        let image = &mut sections.image;
+        (image.pixels, image.columns, image.rows) = (pixels, side(columns), side(rows));
+    });
     let sentence = format!(
         "The images have {columns}x{rows} pixels, as the scene of their file says, in place of the scene's {}x{}.",
         own.1, own.0
     );
-    Ok(Some((scene.with(&settings)?, sentence)))
+    Ok(Some((cut_out?, sentence)))
 }

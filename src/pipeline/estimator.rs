@@ -276,7 +276,7 @@ fn with_method(scene: &Scene, method: Method) -> Result<Scene> {
     if scene.estimate.method == method {
         Ok(scene.clone())
     } else {
-        scene.with_override("estimate.method", method.word())
+        scene.changed(|sections| sections.estimate.method = method)
     }
 }
 

@@ -72,8 +72,7 @@ impl FrameEstimator {
         check_for_estimate(scene)?;
         let scene = planner::resolve(scene, Some(control.flag()))?;
         // The fitter gives the modes alone where a pipeline fits optical parameters as well.
-        let modes_of =
-            if scene.estimate.fit_optics.is_empty() { scene.clone() } else { scene.without("estimate.fit_optics")? };
+        let modes_of = scene.system().with(|sections| sections.estimate.fit_optics.clear())?;
         let fitter = Arc::new(ModalFitter::new(&modes_of, false)?);
         let method = if policy == Policy::realtime() {
             let session = Session::new(fitter.clone(), &SessionOptions::default())?;

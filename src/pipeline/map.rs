@@ -175,7 +175,7 @@ pub(super) fn estimate(
         remarks,
         pupil,
         device: found.device,
-        precision: scene.estimate.precision,
+        precision: scene.estimate.precision(),
         seconds,
         model_seconds: 0.0,
         compared: Vec::new(),

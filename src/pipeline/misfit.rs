@@ -6,7 +6,7 @@ use super::residual_shape::Residual;
 use crate::imaging::CpuChain;
 use crate::modal::{self, Cube, DiversityProjection, FittedImage, ModalEstimate, Model};
 use crate::modes::Group;
-use crate::scene::{Scene, rounded};
+use crate::scene::{Optic, Scene, rounded};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
 
@@ -99,7 +99,8 @@ impl Case<'_> {
             return Ok(None);
         }
         // A scene that fits no optics, as one with the paper's optimiser, is not tried.
-        let Ok(scene) = self.task.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]) else { return Ok(None) };
+        let fitting = self.task.scene.system().with(|sections| sections.estimate.fit_optics = vec![Optic::PlateScale]);
+        let Ok(scene) = fitting else { return Ok(None) };
         let cube = Cube { images_e, bad, read_noise_e: self.task.images.read_noise_e };
         let (recipe, flag) = (self.task.policy.recipe(&scene), Some(self.task.control.flag()));
         let factor = 1.0 + self.fitted_diversity(found).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);

@@ -54,7 +54,7 @@ impl Fitted {
             remarks: remarks.into_iter().flatten().collect(),
             scene,
             pupil,
-            precision: fitter.scene().estimate.precision,
+            precision: fitter.scene().estimate.precision(),
             model_seconds,
             seconds: found.seconds,
             device: found.device,

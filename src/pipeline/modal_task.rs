@@ -109,7 +109,7 @@ impl ModalTask<'_> {
         let estimate = &self.scene.estimate;
         // No more images than this are fitted at once.
         let capacity = self.images.len().min(model.tiles().images);
-        Chain::open_shared(model.optics.clone(), estimate.device.into(), estimate.precision.into(), capacity)
+        Chain::open_shared(model.optics.clone(), estimate.device.into(), estimate.precision().into(), capacity)
     }
 
     /// Fit of all images by `scene`, which is that of the task or an extension of it; fits that `series` have are taken.
@@ -166,7 +166,7 @@ impl ModalTask<'_> {
         let (recipe, flag) = (Recipe { restarts: 0, ..self.policy.recipe(scene) }, Some(self.control.flag()));
         let mut open = |fitter: &ModalFitter| {
             let optics = fitter.model().optics.clone();
-            Chain::open_shared(optics, scene.estimate.device.into(), scene.estimate.precision.into(), 1)
+            Chain::open_shared(optics, scene.estimate.device.into(), scene.estimate.precision().into(), 1)
         };
         if scene.estimate.fit_optics.is_empty() {
             return modal::estimate_with(scene, recipe, self.cache, cube, &mut open, flag, &mut |_, _| {}).map(Some);

@@ -11,7 +11,7 @@
 use super::control::Control;
 use super::policy::Policy;
 use crate::modal::{ImageStatus, ModalEstimate, ModalFitter};
-use crate::scene::{ModelChoice, NcpaBasis, NollRange, Optic, Optimizer, Scene, SegmentModes};
+use crate::scene::{ModelChoice, NcpaBasis, NollRange, Optic, Optimizer, Scene, Sections, SegmentModes};
 use crate::{Error, Result};
 
 /// Largest part of χ² beyond 1 that an adopted extension may leave. The right one leaves 0.1 % or less (segment tilts of 30 nm, white NCPA to
@@ -34,7 +34,7 @@ const OBSCURATION: f64 = 0.2;
 
 /// What is added to the model of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Extension {
+pub(super) enum Extension {
     /// Tip and tilt of each segment.
     SegmentTilts,
     /// All Zernikes to a Noll index.
@@ -47,26 +47,29 @@ enum Extension {
 const FITTED: [Optic; 3] = [Optic::Reflectivities, Optic::Spiders, Optic::Obscuration];
 
 impl Extension {
-    /// Keys and values of `scene` with this extension.
-    fn settings(self, scene: &Scene) -> Vec<(&'static str, String)> {
+    /// Adds this extension.
+    pub(super) fn add_to(self, sections: &mut Sections) {
+        let extent_m = sections.pupil.extent_m();
         match self {
-            Self::SegmentTilts => vec![("modes.segment", "piston-tip-tilt".into())],
+            Self::SegmentTilts => sections.modes.segment = SegmentModes::PistonTipTilt,
             Self::ZernikesTo(last) => {
                 let finer = FINER[usize::from(last > LAST_NOLL[0])];
                 // Only a pupil that is known on a finer grid can have more samples.
-                let is_fine = scene.pupil.extent_m().is_some() && scene.estimate.samples.is_none();
-                let samples = is_fine.then(|| 2 * (0.5 * finer * scene.pupil.samples as f64).round() as usize);
-                let samples = samples.map(|samples| ("estimate.samples", samples.to_string()));
-                samples.into_iter().chain([("modes.exact_zernikes", format!("[2, {last}]"))]).collect()
+                if extent_m.is_some() && sections.estimate.samples.is_none() {
+                    let samples = 2 * (0.5 * finer * sections.pupil.samples as f64).round() as usize;
+                    sections.estimate.samples = Some(samples);
+                }
+                sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last });
             }
             Self::Fitted(optic) => {
-                let start = match optic {
-                    Optic::Spiders => Some(SPIDER_M),
-                    Optic::Obscuration => scene.pupil.extent_m().map(|extent_m| OBSCURATION * extent_m),
-                    _ => None,
-                };
-                let key = optic.key().zip(start).map(|(key, start)| (key, start.to_string()));
-                key.into_iter().chain([("estimate.fit_optics", format!("[\"{}\"]", optic.word()))]).collect()
+                match (optic, extent_m) {
+                    (Optic::Spiders, _) => sections.pupil.spider_width_m = SPIDER_M,
+                    (Optic::Obscuration, Some(extent_m)) => {
+                        sections.pupil.central_obscuration_m = OBSCURATION * extent_m;
+                    }
+                    _ => {}
+                }
+                sections.estimate.fit_optics = vec![optic];
             }
         }
     }
@@ -139,8 +142,8 @@ pub(super) type FitOne<'a> = dyn FnMut(&Scene) -> Result<Option<(ModalFitter, Mo
 pub(super) struct Selected {
     /// The scene with its modes.
     pub(super) scene: Scene,
-    /// Keys and values that extend the scene.
-    pub(super) settings: Vec<(&'static str, String)>,
+    /// What extends it.
+    pub(super) extensions: Vec<Extension>,
     /// What was added, for reports.
     pub(super) added: String,
     /// What it explains, as a sentence.
@@ -190,8 +193,7 @@ pub(super) fn select(
              (estimate.model = \"scene\" keeps that of the scene).",
             trial.fit.reduced_chi2, base.reduced_chi2
         );
-        let settings = trial.extensions.iter().flat_map(|extension| extension.settings(scene)).collect();
-        Selected { scene: trial.scene.clone(), settings, added, remark }
+        Selected { scene: trial.scene.clone(), extensions: trial.extensions.clone(), added, remark }
     }))
 }
 
@@ -202,9 +204,8 @@ fn trials(scene: &Scene, base: &Fit, fit: &mut dyn FnMut(&Scene) -> Result<Optio
         if extensions.iter().any(|extension| extension.is_in(scene)) {
             return Ok(None);
         }
-        let settings: Vec<(&str, String)> = extensions.iter().flat_map(|extension| extension.settings(scene)).collect();
-        let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
-        let Ok(extended) = scene.with(&settings) else { return Ok(None) };
+        let add = |sections: &mut Sections| extensions.iter().for_each(|extension| extension.add_to(sections));
+        let Ok(extended) = scene.changed(add) else { return Ok(None) };
         let Some(found) = fit(&extended)? else { return Ok(None) };
         done.push(Trial { extensions: extensions.to_vec(), scene: extended, fit: found });
         Ok(Some(found))

@@ -11,7 +11,7 @@ use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
 use crate::optimize::CancelFlag;
-use crate::scene::Scene;
+use crate::scene::{Method, Optic, Parameter, Scene};
 use crate::{Error, Result, source};
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -169,32 +169,32 @@ impl Base {
             }
         }
         let (_, one) = channels[0];
-        let one = one.with(&[("image.count", "1"), ("estimate.budget_nm", ""), ("estimate.method", "modal")])?;
+        let one = one.changed(|sections| {
+            sections.image.count = 1;
+            (sections.estimate.budget_nm, sections.estimate.method) = (None, Method::Modal);
+        })?;
         let flux_e = source::simulate(&one)?.flux_e;
-        let electrons = format!("{flux_e:e}");
-        let scene = one.with(&[("image.flux_e", &electrons)])?;
+        let scene = one.changed(|sections| (sections.image.flux_e, sections.image.peak_snr) = (Some(flux_e), None))?;
         Ok(Self { scene, wavelengths_nm, flux_e })
     }
 
     /// The scene of some channels.
     fn scene_of(&self, channels: &[(f64, f64)]) -> Result<Scene> {
-        let settings = |(nm, waves): (f64, f64)| {
-            // A pixel keeps its angle on the sky.
-            let sampling = self.scene.image.samples_per_lambda_over_d * nm / self.scene.image.wavelength_nm;
-            [nm, waves, sampling].map(|value| value.to_string())
-        };
-        let [nm, waves, sampling] = settings(channels[0]);
-        let first = self.scene.with(&[
-            ("image.wavelength_nm", &nm),
-            ("image.diversity_focus_waves_rms", &waves),
-            ("image.samples_per_lambda_over_d", &sampling),
-        ])?;
+        // A pixel keeps its angle on the sky.
+        let sampling = |nm: f64| self.scene.image.samples_per_lambda_over_d * nm / self.scene.image.wavelength_nm;
+        let (nm, waves) = channels[0];
+        let first = self.scene.changed(|sections| {
+            sections.image.wavelength_nm = nm;
+            for (optic, value) in [(Optic::PlateScale, sampling(nm)), (Optic::Defocus, waves)] {
+                Parameter::of(optic).for_each(|parameter| parameter.set(sections, value));
+            }
+        })?;
         if channels.len() == 1 {
             return Ok(first);
         }
         let mut text = first.text().trim_end().to_owned();
-        for (number, &channel) in channels.iter().enumerate() {
-            let [nm, waves, sampling] = settings(channel);
+        for (number, &(nm, waves)) in channels.iter().enumerate() {
+            let sampling = sampling(nm);
             text += &format!(
                 "\n\n[[image.channel]]\nname = \"{}\"\nwavelength_nm = {nm}\nsamples_per_lambda_over_d = {sampling}\n\
                  diversity_focus_waves_rms = {waves}\n",
@@ -232,7 +232,7 @@ impl Base {
             expected_nm,
             piston_range_nm: piston_range_nm(&wavelengths_nm, expected_nm[0]),
             flaw,
-            scene: scene.with(&[("image.count", &count.to_string())])?,
+            scene: scene.changed(|sections| sections.image.count = count)?,
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Policy: the choices of an estimate that are not part of the scene.
 
 use crate::modal::{Recipe, Session};
-use crate::scene::Scene;
+use crate::scene::{Scene, System};
 use crate::{Error, Result};
 
 /// Choices of an estimate. Every interface follows [`Policy::default`] unless it is given another; a
@@ -47,7 +47,7 @@ impl Policy {
     }
 
     /// The recipe of the fits.
-    pub(super) fn recipe(&self, scene: &Scene) -> Recipe {
+    pub(super) fn recipe(&self, scene: &System) -> Recipe {
         let mut recipe = if self.prior_modes { Recipe::with_prior(scene) } else { Recipe::from_scene(scene) };
         recipe.search_outliers &= self.search_outliers;
         if !self.restart {

@@ -66,9 +66,15 @@ impl TurnedImages {
             let mut each = Vec::new();
             for Group { turn_deg, images: which } in groups {
                 let name = format!("{name}turn {turn_deg:+.3}");
-                let scene =
-                    images.scene.as_ref().map(|scene| scene.with(&[(KEY, &format!("[{turn_deg}]"))])).transpose()?;
-                parts.push(Images { channel: Some(name.clone()), scene, ..images.selected(&which) });
+                let scene = images
+                    .scene
+                    .as_ref()
+                    .map(|scene| scene.changed(|sections| sections.image.pupil_turns_deg = Some(vec![turn_deg])));
+                parts.push(Images {
+                    channel: Some(name.clone()),
+                    scene: scene.transpose()?,
+                    ..images.selected(&which)
+                });
                 order.extend(which.iter().map(|image| begin + image));
                 each.push((name, turn_deg));
             }

@@ -63,7 +63,7 @@ fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<AoKnowledge> {
         None => Ok(there),
         Some(wanted) if wanted <= there => Ok(wanted),
         Some(wanted) => Err(Error::Scene(format!(
-            "estimate.ao_knowledge = \"{}\" is more than there is: the {}, and \"{}\" is accepted",
+            "estimate.ao_knowledge = \"{}\" is not accepted: the {}; up to \"{}\" is accepted",
             wanted.word(),
             if has_loop { "images come without slopes" } else { "scene has no [wavefront_sensor] and [control]" },
             there.word()
@@ -127,7 +127,11 @@ fn tilt_selection(scene: &Scene, policy: &Policy) -> Result<TiltSelection> {
 
 /// `scene` with these segment modes.
 fn with_segment_modes(scene: &Scene, modes: SegmentModes) -> Result<Scene> {
-    if scene.modes.segment == modes { Ok(scene.clone()) } else { scene.with(&[("modes.segment", modes.word())]) }
+    if scene.modes.segment == modes {
+        Ok(scene.clone())
+    } else {
+        scene.changed(|sections| sections.modes.segment = modes)
+    }
 }
 
 /// Prior power spectral density of the dynamic wavefront.
@@ -283,7 +287,7 @@ fn absolute_pistons(
 
 /// Settings of the retrieval of `exposures` exposures of `scene`.
 fn retrieval_settings(scene: &Scene, exposures: usize) -> RetrievalSettings {
-    let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
+    let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision().into());
     // Pistons as separate coefficients are nearly degenerate with wavefronts that have steep edges: each image is retrieved
     // as a wavefront alone.
     let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };

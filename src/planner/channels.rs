@@ -97,7 +97,7 @@ fn has_value(planned: &System, choice: &Choice) -> bool {
     let value = match (choice.key, image.crop_pixels) {
         ("estimate.samples", _) => estimate.samples.map(|samples| samples.to_string()),
         ("estimate.wavelengths", _) => estimate.wavelengths.map(|wavelengths| wavelengths.to_string()),
-        ("estimate.precision", _) => Some(format!("\"{}\"", estimate.precision.word())),
+        ("estimate.precision", _) => Some(format!("\"{}\"", estimate.precision().word())),
         ("estimate.step_tolerance_nm", _) => estimate.step_tolerance_nm.map(|nm| nm.to_string()),
         ("image.crop_pixels", Crop::Pixels(pixels)) => Some(pixels.to_string()),
         _ => None,
@@ -113,14 +113,14 @@ fn planned(scene: &System, plans: &[FoundPlan]) -> Result<System> {
     let has_choice = |plan: &FoundPlan| plan.choices.iter().any(|choice| choice.key == "estimate.wavelengths");
     let of = |plan: &FoundPlan| if has_choice(plan) { plan.system.estimate.wavelengths } else { None };
     let wavelengths = plans.iter().map(of).collect::<Option<Vec<_>>>().and_then(|all| all.into_iter().max());
-    let is_single = estimates().all(|own| own.precision == Precision::F32);
+    let is_single = estimates().all(|own| own.precision() == Precision::F32);
     let tolerances: Option<Vec<f64>> = estimates().map(|own| own.step_tolerance_nm).collect();
     let tolerance_nm = tolerances.and_then(|all| all.into_iter().reduce(f64::min));
     let common = scene.with(|sections| {
         let estimate = &mut sections.estimate;
         estimate.samples = samples.or(estimate.samples);
         estimate.wavelengths = wavelengths.or(estimate.wavelengths);
-        estimate.precision = if is_single { Precision::F32 } else { Precision::F64 };
+        estimate.precision = Some(if is_single { Precision::F32 } else { Precision::F64 });
         estimate.step_tolerance_nm = tolerance_nm.or(estimate.step_tolerance_nm);
     })?;
     common.with_each_channel(|channel, sections| {

@@ -36,7 +36,7 @@ pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Resul
         return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
     }
     // The plan has no budget: a scene with one would be planned again.
-    let given = scene.without("estimate.budget_nm")?;
+    let given = scene.changed(|sections| sections.estimate.budget_nm = None)?;
     let found = if given.channels().is_empty() {
         search::Search::new(&given, budget_nm, cancel)?.run()?
     } else {

@@ -86,7 +86,7 @@ impl<'a> Search<'a> {
 
     /// The scene's own model in double precision.
     pub(super) fn reference(&self) -> Result<Candidate> {
-        let scene = self.given.with(|sections| sections.estimate.precision = Precision::F64)?;
+        let scene = self.given.with(|sections| sections.estimate.precision = Some(Precision::F64))?;
         let estimator = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
         let price = self.trials.price(&estimator, self.cancel)?;
         Ok(Candidate { scene, estimator, price })
@@ -178,7 +178,7 @@ impl<'a> Search<'a> {
     }
 
     fn single_precision(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
-        let scene = from.scene.with(|sections| sections.estimate.precision = Precision::F32)?;
+        let scene = from.scene.with(|sections| sections.estimate.precision = Some(Precision::F32))?;
         self.change_if_cheaper(from, &scene, ("estimate.precision", "\"f32\""), limit)
     }
 

@@ -96,7 +96,7 @@ impl Trials {
     pub(super) fn run(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Trial> {
         check_cancelled(cancel)?;
         let (model, scene) = (estimator.model(), estimator.scene());
-        let precision = scene.estimate.precision.into();
+        let precision = scene.estimate.precision().into();
         let mut chain = Chain::cpu(model.optics.clone(), precision);
         let cube = Cube { images_e: self.frames_e.view(), bad: self.bad.view(), read_noise_e: None };
         let found = estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;

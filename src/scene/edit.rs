@@ -1,7 +1,7 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
 use super::section_keys::SectionKeys;
-use super::sections::directory_of_keys;
+use super::sections::{Sections, directory_of_keys};
 use super::table::SETTING;
 use super::unknown::{unknown_key, unknown_section};
 use super::{Channel, Scene, System, channel, forms};
@@ -37,6 +37,14 @@ impl Scene {
         }
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), settings)
             .map_err(|error| after_settings(error, settings))
+    }
+
+    /// This scene with other values, which its text has, too: `change` is given the sections of the scene, then those of each channel.
+    ///
+    /// # Errors
+    /// As [`System::with`].
+    pub(crate) fn changed(&self, change: impl Fn(&mut Sections)) -> Result<Self> {
+        self.adopting(&self.system.with(change)?)
     }
 
     /// This scene with the values of `system`, which is its own but for some of them; the text has those that differ.

@@ -118,36 +118,33 @@ section! {
         /// Device that computes the estimate; "all" shares the images of a modal estimate among all GPUs, or among all OpenCL devices
         /// where there is no GPU.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
-        /// Precision of the imaging chain; the default is "f32" for method = "full-phase".
-        precision: Precision, ANY, default(Precision::F64);
+        /// Precision of the imaging chain.
+        precision: Option<Precision>, ANY, unset("\"f64\"; \"f32\" for method = \"full-phase\"");
     }
 }
 
 impl Check for EstimateScene {
-    fn complete(&mut self, reader: &Reader) -> Result<()> {
-        match self.method {
-            Method::Modal => Self::refuse_keys_of_full_phase(reader),
-            Method::FullPhase => self.complete_full_phase(reader),
-            // Keys of the other method are refused when the images have decided.
-            Method::Auto => Ok(()),
-        }
-    }
-
     fn check(&self, reader: &Reader) -> Result<()> {
         match self.method {
-            Method::Modal => self.check_fitted_optics(reader),
+            Method::Modal => self.check_modal(reader),
             Method::FullPhase => self.check_full_phase(reader),
+            // Keys of the other method are refused when the images have decided.
             Method::Auto => Ok(()),
         }
     }
 }
 
 impl EstimateScene {
-    fn refuse_keys_of_full_phase(reader: &Reader) -> Result<()> {
-        reader.refuse(&["ao_knowledge", "telemetry"], "where estimate.method is \"modal\"")
+    /// Precision of the imaging chain.
+    pub fn precision(&self) -> Precision {
+        let usual = if self.method == Method::FullPhase { Precision::F32 } else { Precision::F64 };
+        self.precision.unwrap_or(usual)
     }
 
-    fn check_fitted_optics(&self, reader: &Reader) -> Result<()> {
+    fn check_modal(&self, reader: &Reader) -> Result<()> {
+        let of_full_phase =
+            [("ao_knowledge", self.ao_knowledge.is_some()), ("telemetry", self.telemetry != Telemetry::Check)];
+        reader.refuse_set(&of_full_phase, "where estimate.method is \"modal\"")?;
         if self.fit_optics.is_empty() {
             return Ok(());
         }
@@ -158,21 +155,24 @@ impl EstimateScene {
                 "estimate.fit_optics needs noise weights; optimizer = \"gauss-newton\" without weighting is needed";
             return Err(reader.error("fit_optics", sentence));
         }
-        reader.not_both("budget_nm", "fit_optics")
-    }
-
-    /// Refuses keys that a full-phase estimate does not use, and sets its precision.
-    fn complete_full_phase(&mut self, reader: &Reader) -> Result<()> {
-        let modal =
-            ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "fit_optics", "combine"];
-        reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
-        if !reader.named("precision") {
-            self.precision = Precision::F32;
+        match self.budget_nm {
+            Some(_) => Err(reader.both("budget_nm", "fit_optics")),
+            None => Ok(()),
         }
-        Ok(())
     }
 
+    /// Refuses keys that a full-phase estimate does not use.
     fn check_full_phase(&self, reader: &Reader) -> Result<()> {
+        let modal = [
+            ("weighting", self.weighting.is_some()),
+            ("max_evaluations", self.max_evaluations.is_some()),
+            ("step_tolerance_nm", self.step_tolerance_nm.is_some()),
+            ("restarts", self.restarts.is_some()),
+            ("budget_nm", self.budget_nm.is_some()),
+            ("fit_optics", !self.fit_optics.is_empty()),
+            ("combine", self.combine.is_some()),
+        ];
+        reader.refuse_set(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(
                 "estimate.optimizer = \"{}\" has no meaning where estimate.method is \"full-phase\", which has an \

@@ -4,9 +4,10 @@ use super::Scene;
 use super::forms::{FOCUS, SAMPLING};
 
 impl Scene {
-    /// The key by which this scene names the quantity of `key`, and `value` in its unit: a sampling of 2 is `image.pixel_mas = 9.95` for a scene that
-    /// names a pixel in milliarcseconds. All other keys, and a quantity that the scene does not name, are themselves. A pixel is inversely proportional to
-    /// the sampling, a defocus proportional to that in waves; a defocus of 0 has no ratio.
+    /// The key by which this scene names the quantity of `key`, and `value` in its unit: a sampling of 2 is
+    /// `image.pixel_mas = 9.95` in a scene that names a pixel in milliarcseconds. A key of another quantity, or of one that the
+    /// scene does not name, is returned unchanged. A pixel is inversely proportional to the sampling, a defocus proportional to
+    /// that in waves; a defocus of 0 has no ratio.
     pub(crate) fn own_form(&self, key: &str, value: f64) -> (String, f64) {
         let image = &self.image;
         let own = key.strip_prefix("image.");

@@ -193,8 +193,14 @@ impl<'a> Reader<'a> {
 
     /// Refuses `keys` that are named but have no effect, for the given reason.
     pub(super) fn refuse(&self, keys: &[&str], reason: &str) -> Result<()> {
-        match keys.iter().find(|key| self.named(key)) {
-            Some(key) => {
+        let named: Vec<(&str, bool)> = keys.iter().map(|key| (*key, self.named(key))).collect();
+        self.refuse_set(&named, reason)
+    }
+
+    /// Refuses the first of `keys` that is set but has no effect, for the given reason.
+    pub(super) fn refuse_set(&self, keys: &[(&str, bool)], reason: &str) -> Result<()> {
+        match keys.iter().find(|(_, is_set)| *is_set) {
+            Some((key, _)) => {
                 Err(self.error(key, format_args!("'{}.{key}' has no meaning {reason}; leave it out", self.section)))
             }
             None => Ok(()),
@@ -203,14 +209,16 @@ impl<'a> Reader<'a> {
 
     /// Refuses two keys that are alternatives if both are named.
     pub(super) fn not_both(&self, one: &str, other: &str) -> Result<()> {
-        if self.named(one) && self.named(other) {
-            let section = self.section;
-            return Err(self.error(
-                other,
-                format_args!("'{section}.{one}' and '{section}.{other}' are both given; name only one of them"),
-            ));
-        }
-        Ok(())
+        if self.named(one) && self.named(other) { Err(self.both(one, other)) } else { Ok(()) }
+    }
+
+    /// Error about two keys of which a scene may name one.
+    pub(super) fn both(&self, one: &str, other: &str) -> Error {
+        let section = self.section;
+        self.error(
+            other,
+            format_args!("'{section}.{one}' and '{section}.{other}' are both given; name only one of them"),
+        )
     }
 
     /// Refuses more than one of keys that are alternatives.

@@ -50,7 +50,7 @@ fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
 fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
     let made = source::simulate(scene).unwrap();
     let estimator = ModalFitter::new(&plan.scene, false).unwrap();
-    let precision = match plan.scene.estimate.precision {
+    let precision = match plan.scene.estimate.precision() {
         scene::Precision::F32 => Precision::F32,
         scene::Precision::F64 => Precision::F64,
     };

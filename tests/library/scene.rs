@@ -134,7 +134,7 @@ fn keys_that_a_scene_does_not_name_have_defaults() {
     assert_eq!(scene.image.frame_shape(), (scene.image.pixels, scene.image.pixels));
     assert_eq!(parse(&format!("{SMALLEST}rows = 8")).unwrap().image.frame_shape(), (8, scene.image.pixels));
     assert_eq!((scene.estimate.optimizer, scene.estimate.weighting), (Optimizer::GaussNewton, None));
-    assert_eq!((scene.estimate.device, scene.estimate.precision), (DeviceChoice::Auto, Precision::F64));
+    assert_eq!((scene.estimate.device, scene.estimate.precision()), (DeviceChoice::Auto, Precision::F64));
     assert!(parse(&format!("{SMALLEST}[pupil]\naperture = \"hexagonal\"")).unwrap().pupil.central_segment);
     let flux = parse(&format!("{SMALLEST}flux_e = 1e6")).unwrap();
     assert_eq!((flux.image.peak_snr, flux.image.flux_e), (None, Some(1e6)));

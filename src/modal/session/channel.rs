@@ -80,7 +80,7 @@ impl SessionChannel {
         let shared = Shared { estimator, recipe, tilts, motions, cancel };
         let optics = shared.estimator.model.optics.clone();
         let scene = &shared.estimator.scene.estimate;
-        let precision = options.precision.unwrap_or(scene.precision.into());
+        let precision = options.precision.unwrap_or(scene.precision().into());
         let device = options.device.unwrap_or(scene.device.into());
         let chain = Chain::open(optics, device, precision, options.capacity)?;
         let device = chain.device_name();

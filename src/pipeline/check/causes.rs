@@ -1,7 +1,7 @@
 //! Causes of a misfit: the optical parameters, all fitted together, the area of the pixels, and shapes of the residual.
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
-use super::{Work, chi2_of, first_used, optics, pixels_of, shapes, turns};
+use super::{Work, chi2_of, first_used, optics, pixels_of, shapes};
 use crate::modal::{self, Cube, ImageStatus, ModelCache, OpticsMinimum, OpticsStart};
 use crate::pipeline::control::Stage;
 use crate::pipeline::modal_task::Fitted;
@@ -146,7 +146,7 @@ impl Work<'_> {
         for offset_deg in ROTATIONS_DEG {
             let rotation_deg = scene.pupil.rotation_deg + offset_deg;
             // The turned pupil may be larger than its grid.
-            let Ok(turned) = scene.with(&[(turns::ROTATION, &rotation_deg.to_string())]) else { continue };
+            let Ok(turned) = scene.changed(|sections| sections.pupil.rotation_deg = rotation_deg) else { continue };
             if let Some(chi2) = self.trial_chi2(&turned, first_used(fitted))?.filter(|chi2| *chi2 < best.0) {
                 best = (chi2, Some(rotation_deg));
             }
@@ -166,7 +166,8 @@ impl Work<'_> {
         elsewhere: &[(Optic, f64)],
     ) -> Result<Option<OpticsMinimum>> {
         // A scene without weights fits no optics.
-        let Ok(fitting) = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))]) else { return Ok(None) };
+        let fitting = scene.system().with(|sections| sections.estimate.fit_optics = parameters.to_vec());
+        let Ok(fitting) = fitting else { return Ok(None) };
         self.control.enter(Stage::Preparing, 0);
         let images = &self.images;
         let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
@@ -192,7 +193,7 @@ impl Work<'_> {
         if !left.is_misfit || scene.image.pixel_fill > 0.0 || !shapes.iter().any(is_blurred) {
             return Ok(None);
         }
-        let Ok(other) = scene.with(&[(PIXEL_FILL, "1")]) else { return Ok(None) };
+        let Ok(other) = scene.changed(|sections| sections.image.pixel_fill = 1.0) else { return Ok(None) };
         match self.fit(&other, &cache.for_scene(scene, &other)) {
             Ok(again) => Ok(Some(chi2_of(&again))),
             Err(error @ Error::Interrupted(_)) => Err(error),

@@ -27,12 +27,6 @@ pub(super) fn parameters(scene: &Scene) -> Vec<Optic> {
     each.into_iter().filter(|(_, has)| *has).map(|(optic, _)| optic).collect()
 }
 
-/// `parameters` in the syntax of TOML.
-pub(super) fn listed(parameters: &[Optic]) -> String {
-    let words: Vec<String> = parameters.iter().map(|optic| format!("{:?}", optic.word())).collect();
-    format!("[{}]", words.join(", "))
-}
-
 /// Smallest change of a parameter that is a fault, in units of its scene's value for the plate scale and the filter, else in those of its key.
 /// The model is not exact: it has finitely many samples of the pupil and of modes.
 fn least(optic: Optic, scene: f64) -> f64 {
