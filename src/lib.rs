@@ -130,8 +130,8 @@ pub use ao::{Recorder, Shot, Simulator, Stepper, Summary};
 pub use error::{Error, Result};
 pub use imaging::{Choice, Precision};
 pub use modal::{
-    Accumulator, Arrays, ChannelFitters, FitOptions, FittedImage, ImageReport, ImageResult, ModalFitter, Refusal,
-    RejectedPixels, RunningEstimate, Session, SessionOptions, Status,
+    Accumulator, Arrays, ChannelFitters, FitOptions, FittedImage, GroupResult, ImageReport, ImageResult, ModalFitter,
+    RefinedGroup, Refusal, RejectedPixels, RunningEstimate, Session, SessionChannel, SessionOptions, Status,
 };
 pub use pipeline::{Control, Estimate, Estimator, Images, Policy};
 pub use scene::{Channel, Scene};

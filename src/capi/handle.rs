@@ -23,12 +23,12 @@ pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
     match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => COPHASE_OK,
         Ok(Err(error)) => keep(&error),
-        Err(panic) => keep(&Error::Panic(words(&*panic).into())),
+        Err(panic) => keep(&Error::Panic(panic_message(&*panic).into())),
     }
 }
 
 /// Message of a panic.
-fn words(panic: &(dyn Any + Send)) -> &str {
+fn panic_message(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message")
 }
@@ -84,7 +84,7 @@ impl<T: Send + Sync, A> Handle<T, A> {
 
     /// Reads the object inside a call on another one.
     pub(super) fn look<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
-        self.whole()?;
+        self.check_not_poisoned()?;
         Ok(body(&*self.value.try_read().map_err(refused)?))
     }
 }
@@ -101,20 +101,20 @@ impl<T: Send, A> Handle<T, A> {
     }
 
     /// As [`Handle::look`], for an object that only one thread at a time may read.
-    pub(super) fn look_alone<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
-        self.whole()?;
+    pub(super) fn read_exclusively<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
+        self.check_not_poisoned()?;
         Ok(body(&*self.value.try_write().map_err(refused)?))
     }
 
     /// Refuses an object in which a call has panicked.
-    fn whole(&self) -> Result<()> {
+    fn check_not_poisoned(&self) -> Result<()> {
         if self.poisoned.load(Ordering::Acquire) { Err(after_a_panic()) } else { Ok(()) }
     }
 
     fn enter(handle: Result<&Self>, body: impl FnOnce(&RwLock<T>) -> Result<()>) -> cophase_status {
         fence(|| {
             let handle = handle?;
-            handle.whole()?;
+            handle.check_not_poisoned()?;
             // Only a panic poisons: a call may also return COPHASE_PANIC because another object is poisoned.
             let _poison = PoisonIfPanicking(&handle.poisoned);
             fault::fail_call()?;

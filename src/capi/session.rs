@@ -241,7 +241,7 @@ unsafe fn read(session: *const cophase_session, body: impl FnOnce(&Working) -> R
 /// The session behind a handle, inside a call on another object.
 pub(super) unsafe fn look<R>(session: *const cophase_session, body: impl FnOnce(&Session) -> R) -> Result<R> {
     let session = unsafe { find(session, "session") }?;
-    session.0.look_alone(|working| body(&working.session))
+    session.0.read_exclusively(|working| body(&working.session))
 }
 
 /// Creates a session of a model, which need not outlive this call.

@@ -131,7 +131,7 @@ impl LinearModel<'_> {
             Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
                 self.patch(colour, mode, &self.boxes[s], rows, buffers, out.view_mut());
             }
-            _ => self.whole(colour, mode, rows, buffers, out.view_mut()),
+            _ => self.whole_pupil(colour, mode, rows, buffers, out.view_mut()),
         });
     }
 
@@ -142,7 +142,7 @@ impl LinearModel<'_> {
         2 * ys.len() * (xs.len() + m) < n * (n + m)
     }
 
-    fn whole(
+    fn whole_pupil(
         &self,
         colour: &ColourState,
         mode: Mode,

@@ -16,7 +16,7 @@ use super::controller::{Commands, Moved, commands};
 use crate::ao::actuators_in_use;
 use crate::scene::System;
 use crate::telescope::{SegmentPlace, Telescope};
-use crate::tracking::{CorrectionPolicy, Held, HoldReason};
+use crate::tracking::{CorrectionPolicy, HeldMode, HoldReason};
 use crate::{Error, Result};
 use mirror::{mirror_commands, reference_slopes};
 
@@ -27,8 +27,8 @@ pub struct Corrections {
     pub places: Vec<SegmentPlace>,
     /// Increment of each segment's piston, nm; 0 where it stays.
     pub pistons_nm: Vec<f64>,
-    /// Estimate of each piston and its error bar, nm, both without what is left as it is: the mean of all pistons, or the plane through
-    /// them.
+    /// Estimate of each piston and its error bar, nm, both without the mean of all pistons, or the plane through
+    /// them, which no correction changes.
     pub estimate_nm: Vec<[f64; 2]>,
     /// Increments of the tip of each segment, then of the tilt of each, nm RMS over the segment; empty where they were not estimated.
     pub tilts_nm: Vec<f64>,
@@ -180,7 +180,7 @@ impl Corrections {
 }
 
 /// Why each of `count` modes stays: as `held` says, and of `left` modes from number `first` on because they are never corrected.
-fn reasons(count: usize, left: usize, first: usize, held: &[Held]) -> Vec<Option<HoldReason>> {
+fn reasons(count: usize, left: usize, first: usize, held: &[HeldMode]) -> Vec<Option<HoldReason>> {
     let mut reasons = vec![None; count];
     held.iter().for_each(|one| reasons[one.mode] = Some(one.reason));
     reasons[first..first + left].fill(Some(HoldReason::NeverCorrected));

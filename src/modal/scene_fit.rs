@@ -34,7 +34,7 @@ fn is_native(scene: &System, cube: Cube) -> bool {
     scene.estimate.sampling == Sampling::Auto && cube.has_bad()
 }
 
-/// The fitter for `cube` of a scene that fits no optical parameters; `cache` goes on with the one that it keeps.
+/// The fitter for `cube` of a scene that fits no optical parameters, with the basis of `cache`.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`].

@@ -21,7 +21,6 @@ mod classify;
 mod cut_out;
 mod files;
 mod first_scene;
-mod found;
 mod frame;
 mod log;
 mod masters;
@@ -34,6 +33,7 @@ mod rejection;
 mod scene_text;
 mod sky;
 mod star;
+mod star_frame;
 mod write;
 
 pub use calibration::ReductionOptions;

@@ -3,12 +3,12 @@
 use super::calibration::{Calibrated, Calibration, ReductionOptions, stated_read_noise_e};
 use super::channel::channel_of;
 use super::classify::FrameClass;
-use super::found::{self, Found};
 use super::frame::Frame;
 use super::log::LogRow;
 use super::noise::{NoiseTerms, scatter};
 use super::pupil_turns;
 use super::reduced::{ReducedChannel, Reduction};
+use super::star_frame::{self, StarFrame};
 use super::{masters, sky};
 use crate::io::Quantity;
 use crate::machine;
@@ -136,7 +136,7 @@ impl<'a> Reducer<'a> {
         for frame in group {
             self.rows[frame.index].channel = name.clone().unwrap_or_default();
         }
-        let found = found::usable(group, scene, &mut self.rows);
+        let found = star_frame::usable(group, scene, &mut self.rows);
         let mut images: Vec<Image> = Vec::new();
         for one in &found {
             images.extend(self.cut_out(one, &found, skies, scene));
@@ -148,8 +148,8 @@ impl<'a> Reducer<'a> {
     }
 
     /// Cuts the image of the star out; `None`, with the reason in the log, for a frame that is rejected.
-    fn cut_out(&mut self, one: &Found, all: &[Found], skies: &[Calibrated], scene: &Scene) -> Option<Image> {
-        let &Found { frame, part, background_e, .. } = one;
+    fn cut_out(&mut self, one: &StarFrame, all: &[StarFrame], skies: &[Calibrated], scene: &Scene) -> Option<Image> {
+        let &StarFrame { frame, part, background_e, .. } = one;
         let of_dithers = || if self.options.is_without_dither_sky { None } else { sky::of_dithers(one, all) };
         let sky = if skies.is_empty() { of_dithers() } else { sky::of_sky_frames(frame, part, skies) };
         if sky.is_none() && frame.dark.is_none() && !self.calibration.darks.is_empty() {

@@ -2,9 +2,9 @@
 
 use super::calibration::Calibrated;
 use super::cut_out::CutOut;
-use super::found::Found;
 use super::masters::median_of;
 use super::noise::{SkyTerms, median_variance};
+use super::star_frame::StarFrame;
 use crate::statistics::median;
 use ndarray::Array2;
 
@@ -48,15 +48,15 @@ pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrate
 }
 
 /// The sky in the cut-out of `one`, as the median of the other frames of `all` where their stars are not; `None` where they overlap.
-pub(super) fn of_dithers(one: &Found, all: &[Found]) -> Option<Sky> {
+pub(super) fn of_dithers(one: &StarFrame, all: &[StarFrame]) -> Option<Sky> {
     let (frame, part) = (one.frame, one.part);
-    let others: Vec<&Found> =
+    let others: Vec<&StarFrame> =
         all.iter().filter(|other| !std::ptr::eq(other.frame, frame) && frame.is_alike(other.frame)).collect();
     let first = others.first()?.frame;
     let (half_height, half_width) = (part.rows as f64 / 2.0, part.columns as f64 / 2.0);
     let free: Vec<Array2<f64>> = others
         .iter()
-        .map(|Found { frame: other, star: (at_x, at_y), .. }| {
+        .map(|StarFrame { frame: other, star: (at_x, at_y), .. }| {
             let is_star =
                 |y: usize, x: usize| (x as f64 - at_x).abs() <= half_width && (y as f64 - at_y).abs() <= half_height;
             Array2::from_shape_fn((part.rows, part.columns), |(j, i)| {

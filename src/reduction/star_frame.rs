@@ -10,7 +10,7 @@ use crate::statistics::median;
 use ndarray::Array2;
 
 /// Frame with a star to use.
-pub(super) struct Found<'a> {
+pub(super) struct StarFrame<'a> {
     pub(super) frame: &'a Calibrated<'a>,
     /// Column and row of the star.
     pub(super) star: (f64, f64),
@@ -24,9 +24,10 @@ pub(super) struct Found<'a> {
 }
 
 /// The frames of `group`, a channel whose scene is `scene`, with a star to use; `rows` has the reasons of the others.
-pub(super) fn usable<'a>(group: &'a [Calibrated<'a>], scene: &Scene, rows: &mut [LogRow]) -> Vec<Found<'a>> {
+pub(super) fn usable<'a>(group: &'a [Calibrated<'a>], scene: &Scene, rows: &mut [LogRow]) -> Vec<StarFrame<'a>> {
     let shape = scene.image.frame_shape();
-    let mut found: Vec<Found> = group.iter().filter_map(|frame| find(frame, shape, &mut rows[frame.index])).collect();
+    let mut found: Vec<StarFrame> =
+        group.iter().filter_map(|frame| find(frame, shape, &mut rows[frame.index])).collect();
     // A flat is brighter than a detector counts, and a star that saturates it no measure of the light of others: in this order.
     reject(&mut found, rows, |one, alike| {
         rejection::other_background(
@@ -51,7 +52,7 @@ pub(super) fn usable<'a>(group: &'a [Calibrated<'a>], scene: &Scene, rows: &mut 
 }
 
 /// Looks for the star of a frame; `None`, with the reason in `row`, where there is none to use.
-fn find<'a>(frame: &'a Calibrated<'a>, shape: (usize, usize), row: &mut LogRow) -> Option<Found<'a>> {
+fn find<'a>(frame: &'a Calibrated<'a>, shape: (usize, usize), row: &mut LogRow) -> Option<StarFrame<'a>> {
     let spot = star::find(&frame.electrons, shape.0.max(shape.1));
     if let Some(reason) = rejection::starless(spot) {
         row.reject(reason);
@@ -64,15 +65,15 @@ fn find<'a>(frame: &'a Calibrated<'a>, shape: (usize, usize), row: &mut LogRow) 
     let around = outside(&frame.electrons, part);
     let (background_e, scatter_e) = (median(&around), scatter(around.into_iter()));
     row.background_e = background_e;
-    Some(Found { frame, star, part, background_e, scatter_e, light_e: spot.light_e })
+    Some(StarFrame { frame, star, part, background_e, scatter_e, light_e: spot.light_e })
 }
 
 /// Rejects the frames that are not like those of their filter and exposure, themselves included, by `reason`: no card names every dark and flat. Those that the
 /// user names are not doubted.
 fn reject(
-    found: &mut Vec<Found>,
+    found: &mut Vec<StarFrame>,
     rows: &mut [LogRow],
-    reason: impl Fn(&Found, &mut dyn Iterator<Item = &Found>) -> Option<String>,
+    reason: impl Fn(&StarFrame, &mut dyn Iterator<Item = &StarFrame>) -> Option<String>,
 ) {
     for one in found.iter().filter(|one| !one.frame.frame.is_listed) {
         let alike = &mut found.iter().filter(|other| one.frame.is_alike(other.frame));

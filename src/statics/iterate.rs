@@ -51,7 +51,7 @@ pub fn estimate_static_errors(
         let Some(sequence) = &sequence else { return Err(Error::Internal("a source without wavefronts".into())) };
         if is_new {
             about = Some(estimate.iterate(sequence, source)?);
-            if estimate.goes_on()? {
+            if estimate.needs_iteration()? {
                 continue;
             }
         }
@@ -60,7 +60,7 @@ pub fn estimate_static_errors(
         }
         // With tilts they give another one.
         about = Some(estimate.iterate(sequence, source)?);
-        estimate.goes_on()?;
+        estimate.needs_iteration()?;
     }
     estimate.finish()
 }
@@ -171,7 +171,7 @@ impl<'a> IterativeEstimate<'a> {
     }
 
     /// Whether further iterations are to be made: the last one has changed much, or another basis is taken.
-    fn goes_on(&mut self) -> Result<bool> {
+    fn needs_iteration(&mut self) -> Result<bool> {
         let is_unsettled = !self.is_settled() && self.iterations.len() < self.max_iterations;
         Ok(self.take_finer_basis()? || is_unsettled)
     }

@@ -85,7 +85,7 @@ impl HoldReason {
 
 /// A mode that is not corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Held {
+pub struct HeldMode {
     /// Number of the coefficient.
     pub mode: usize,
     /// Its segment; `None` for an NCPA mode.
@@ -100,7 +100,7 @@ pub struct Correction {
     /// What is to be subtracted from the wavefront, nm of each mode; 0 for those that are held.
     pub coefficients_nm: Array1<f64>,
     /// Modes that are held; those that are never corrected are not among them.
-    pub held: Vec<Held>,
+    pub held: Vec<HeldMode>,
     /// Segment modes that are cut at the stroke limit.
     pub limited: Vec<usize>,
     /// Expected drop of the sum of squares of the segment modes (of the steps at edges by that convention), and of the NCPA modes, nm²; 0
@@ -147,7 +147,7 @@ pub fn correction(policy: &CorrectionPolicy, errors: &Correctable<'_>) -> Result
             }
             let segment = (number == 0).then(|| errors.segment_of_mode[mode - errors.segment_modes.start]);
             let reason = if is_moved[place] { HoldReason::NoBenefit } else { HoldReason::Deadband };
-            correction.held.push(Held { mode, segment, reason });
+            correction.held.push(HeldMode { mode, segment, reason });
         }
         if is_sent {
             correction.expected_drop_nm2[number] += drop_nm2;

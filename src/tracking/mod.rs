@@ -30,7 +30,7 @@ mod threshold;
 mod tracker;
 
 pub use crate::scene::SegmentConvention;
-pub use correction::{Correctable, Correction, CorrectionPolicy, Held, HoldReason, correction};
+pub use correction::{Correctable, Correction, CorrectionPolicy, HeldMode, HoldReason, correction};
 pub use pointing::PointingChange;
 pub use settings::{Applied, AppliedPart, Change, NIGHT_S, Observation, TrackerSettings, Update, Verdict};
 pub use threshold::change_threshold;

@@ -134,7 +134,7 @@ fn text(found: &Check) -> String {
     let number = |value: Option<f64>| value.map_or_else(|| "-".to_string(), |value| format!("{value:.5}"));
     let mut text = format!("{:<36}{:<16}{:>12}{:>12}{:>11}\n", "quantity", "verdict", "scene", "found", "1σ");
     for one in &found.findings {
-        let (quantity, verdict) = (one.quantity.name(), one.verdict.words());
+        let (quantity, verdict) = (one.quantity.name(), one.verdict.name());
         let [scene, value, sigma] = [one.scene, one.found, one.sigma].map(number);
         text += &format!("{quantity:<36}{verdict:<16}{scene:>12}{value:>12}{sigma:>11}\n");
     }
@@ -217,7 +217,7 @@ impl<'a> Printed<'a> {
     fn new(found: &'a Check) -> Self {
         let one = |finding: &'a Finding| PrintedFinding {
             quantity: finding.quantity.name(),
-            verdict: finding.verdict.words(),
+            verdict: finding.verdict.name(),
             scene: finding.scene,
             found: finding.found,
             sigma: finding.sigma,

@@ -21,7 +21,7 @@ use std::process::ExitCode;
 pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     match arguments.part {
-        None => whole::whole(arguments, Vec::new(), terminal, &interrupt),
+        None => whole::estimate_whole(arguments, Vec::new(), terminal, &interrupt),
         Some(Share::Part(part)) => part::write(&arguments, part, terminal, &interrupt),
         Some(Share::Rank) => ranks::run(arguments, terminal, &interrupt),
     }

@@ -210,7 +210,7 @@ impl Target {
     ) -> Result<Report> {
         let seeds = options.seeds.unwrap_or(if options.quick { 2 } else { self.default_seeds() });
         if seeds == 0 {
-            return Err(Error::Value("0 seeds leave nothing to reproduce: at least 1 is needed".into()));
+            return Err(Error::Value("--seeds is 0: 1 or more is accepted".into()));
         }
         self.check_part(options.part)?;
         std::fs::create_dir_all(&options.directory).map_err(|error| Error::file(&options.directory, error))?;

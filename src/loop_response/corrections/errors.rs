@@ -46,7 +46,7 @@ pub enum NcpaModes<'a> {
 pub(super) struct Decision {
     /// Correction of pistons, tips, tilts and NCPA in turn.
     pub(super) correction: Correction,
-    /// Pistons, tips and tilts, each with its error bar, nm, without what is left as it is.
+    /// Pistons, tips and tilts, each with its error bar, nm, without the mean or the plane that no correction changes.
     pub(super) segments_nm: Vec<[f64; 2]>,
 }
 

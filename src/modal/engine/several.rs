@@ -11,7 +11,7 @@ use std::panic::resume_unwind;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Part of a device's share of the images that are left which its next piece has: what remains evens out errors of the speeds.
+/// Size of a device's next piece, as a fraction of its share of the images left: the rest evens out errors of the speeds.
 const PIECE: f64 = 0.5;
 /// The same of a device whose speed is not known yet.
 const FIRST_PIECE: f64 = 0.25;

@@ -106,8 +106,8 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// The words in tables and JSON.
-    pub fn words(self) -> &'static str {
+    /// Its name in tables and JSON.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Fault => "fault",
             Self::Agrees => "agrees",

@@ -40,7 +40,7 @@ impl Work<'_> {
         };
         let found = turns::of_poke(&estimated, (before, after), poke, is_ambiguous, self.control)?;
         let Some(settings) = &found.settings else {
-            // What the shape leaves open stays so; why the poke does not decide is said in its place.
+            // The shape of the pupil does not decide either: the finding says why the poke does not.
             findings.retain(|known| known.verdict == Verdict::Fault);
             if found.is_other_part {
                 let fault = Finding::new(CheckedQuantity::Poke, Verdict::Fault, found.explanation.as_str());

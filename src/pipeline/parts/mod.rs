@@ -1,9 +1,9 @@
 //! Parts of an estimate: the fits of some of its images, made by one process of several, and the estimate from all of them.
 //!
 //! Part i of n has every n-th image from the i-th on. It ends with the fits of its images ([`Estimator::fit_part`]), and is a file
-//! ([`FittedPart::write`]). [`Estimator::estimate_from_parts`] makes the estimate as without them, and takes the fits from them. What no part
-//! could foresee, because it depends on all images (restarts of fits that are outliers of a sequence, a larger model), it makes itself, so that
-//! the estimate has the bits of one run.
+//! ([`FittedPart::write`]). [`Estimator::estimate_from_parts`] makes the estimate as without them, and takes the fits from them. Fits that depend
+//! on all images (restarts of those that are outliers of a sequence, a larger model) are in no part: it makes them itself, so that the estimate
+//! has the bits of one run.
 //!
 //! [`Estimator::fit_part`]: super::Estimator::fit_part
 //! [`Estimator::estimate_from_parts`]: super::Estimator::estimate_from_parts
@@ -77,7 +77,7 @@ pub struct FittedPart {
     pub part: Part,
     /// Number of images of the whole estimate, all channels together.
     pub images: usize,
-    /// The command that made it, for a program that goes on with it: its words.
+    /// The arguments of the command that made it, from which a program makes the other parts.
     pub command: Vec<String>,
     /// Identity of the whole estimate.
     identity: u128,

@@ -1,7 +1,7 @@
 //! Parts of an estimate: `cophase estimate --part I/N`, and the estimate of all parts.
 
 use super::arguments::Arguments;
-use super::whole::{Work, whole};
+use super::whole::{Work, estimate_whole};
 use clap::Parser;
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
@@ -57,7 +57,7 @@ pub fn merge(parts: &[PathBuf], output: PathBuf, flags: [bool; 3], terminal: &Te
     arguments.json |= json;
     arguments.strict |= strict;
     arguments.verbose |= verbose;
-    whole(arguments, parts, terminal, &interrupt)
+    estimate_whole(arguments, parts, terminal, &interrupt)
 }
 
 /// The folder and the words of this command, as a part keeps them.

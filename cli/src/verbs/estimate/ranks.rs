@@ -5,7 +5,7 @@
 
 use super::arguments::Arguments;
 use super::part;
-use super::whole::{Work, conclude, whole};
+use super::whole::{Work, conclude, estimate_whole};
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
 use cophase_view::interrupt::Interrupt;
@@ -18,7 +18,7 @@ use std::process::ExitCode;
 pub(super) fn run(arguments: Arguments, terminal: &Terminal, interrupt: &Interrupt) -> Result<ExitCode> {
     let rank = Rank::of_this_process()?;
     if rank.of == 1 {
-        return whole(arguments, Vec::new(), terminal, interrupt);
+        return estimate_whole(arguments, Vec::new(), terminal, interrupt);
     }
     share(&arguments, rank, terminal, interrupt).map_err(|error| rank.name(error))
 }

@@ -34,7 +34,7 @@ impl Work {
 }
 
 /// The estimate from all images; fits of `parts`, where there are some, are not made again.
-pub(super) fn whole(
+pub(super) fn estimate_whole(
     mut arguments: Arguments,
     parts: Vec<FittedPart>,
     terminal: &Terminal,
