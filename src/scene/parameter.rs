@@ -27,6 +27,7 @@ pub(crate) struct Parameter {
     absence: fn(&Sections) -> Option<&'static str>,
     step: fn(&Sections) -> f64,
     search: fn(&Sections) -> Option<SearchRange>,
+    least_fault: fn(f64) -> f64,
 }
 
 /// What a parameter describes.
@@ -73,6 +74,12 @@ impl Parameter {
         (self.step)(sections)
     }
 
+    /// Smallest difference of the images' value from the scene's that is a fault. The model is not exact: it has finitely many samples of
+    /// the pupil and of modes.
+    pub(crate) fn least_fault(&self, of_scene: f64) -> f64 {
+        (self.least_fault)(of_scene)
+    }
+
     /// Where the parameter is searched for in images that `sections` do not explain; `None` where it is not.
     pub(crate) fn search(&self, sections: &Sections) -> Option<SearchRange> {
         (self.search)(sections)
@@ -116,6 +123,7 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
                 last_step: 0.0003 * sampling,
             })
         },
+        least_fault: |of_scene| 1e-3 * of_scene.abs(),
     },
     Parameter {
         key: "image.bandwidth_fraction",
@@ -140,6 +148,7 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
                 last_step: 0.001,
             })
         },
+        least_fault: |of_scene| 0.05 * of_scene.abs(),
     },
     Parameter {
         key: "image.pixel_fill",
@@ -157,6 +166,7 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
                 last_step: 0.05,
             })
         },
+        least_fault: |_| 0.05,
     },
     Parameter {
         key: "pupil.central_obscuration_m",
@@ -170,6 +180,7 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
         },
         step: |of| OBSCURATION_STEP * of.pupil.extent_m().unwrap_or(1.0),
         search: |of| shadow(of, of.pupil.central_obscuration_m, 0.5, 1e-2, 2.5e-4),
+        least_fault: |_| 0.05,
     },
     Parameter {
         key: "pupil.spider_width_m",
@@ -183,6 +194,7 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
         },
         step: |of| SPIDER_STEP_M.min(0.5 * of.pupil.spider_width_m),
         search: |of| shadow(of, of.pupil.spider_width_m, 0.01, 1e-3, 5e-5),
+        least_fault: |_| 0.005,
     },
     Parameter {
         key: "pupil.rotation_deg",
@@ -192,6 +204,7 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
         absence: |of| of.pupil.extent_m().is_none().then_some(FILE),
         step: |_| 0.05,
         search: |_| None,
+        least_fault: |_| 0.1,
     },
     Parameter {
         key: "image.diversity_focus_waves_rms",
@@ -207,6 +220,8 @@ pub(crate) static PARAMETERS: [Parameter; 10] = [
         absence: |of| of.image.diversity_file.is_some().then_some("a diversity from a file"),
         step: |_| 5e-3,
         search: |_| None,
+        // It is among the modes.
+        least_fault: |_| f64::INFINITY,
     },
     illumination("pupil.illumination_x", |of| of.pupil.illumination_x, |of, value| of.pupil.illumination_x = value),
     illumination("pupil.illumination_y", |of| of.pupil.illumination_y, |of, value| of.pupil.illumination_y = value),
@@ -229,6 +244,7 @@ const fn illumination(key: &'static str, get: fn(&Sections) -> f64, set: fn(&mut
         absence: |_| None,
         step: |_| ILLUMINATION_STEP,
         search: |_| None,
+        least_fault: |_| 0.02,
     }
 }
 

@@ -4,42 +4,33 @@ use super::finding::{CheckedQuantity, Finding, SAMPLING, Verdict, WAVELENGTH};
 use crate::linear_algebra::SpdInverse;
 use crate::modal::{FittedOptic, OpticsMinimum};
 use crate::pipeline::consistency::Contradiction;
-use crate::scene::{Optic, Scene};
+use crate::scene::{Optic, Parameter, Scene};
 use ndarray::{Array1, Array2};
 
 /// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the cause of a misfit: of a companion, a
 /// saturated or a non-linear detector they leave more.
 pub(super) const MOST_LEFT: f64 = 0.5;
 
-/// The optical parameters that `scene` has, as a value of `estimate.fit_optics`. The amplitude of the defocus is among the modes.
+/// Those that are checked, in this order. The amplitude of the defocus is among the modes.
+const CHECKED: [Optic; 7] = [
+    Optic::PlateScale,
+    Optic::Rotation,
+    Optic::Illumination,
+    Optic::Obscuration,
+    Optic::Spiders,
+    Optic::Bandwidth,
+    Optic::PixelFill,
+];
+
+/// The optical parameters that `scene` has, as a value of `estimate.fit_optics`.
 pub(super) fn parameters(scene: &Scene) -> Vec<Optic> {
-    let (pupil, image) = (&scene.pupil, &scene.image);
-    let has_geometry = pupil.extent_m().is_some();
-    let each = [
-        (Optic::PlateScale, true),
-        (Optic::Rotation, has_geometry),
-        (Optic::Illumination, true),
-        (Optic::Obscuration, has_geometry && pupil.central_obscuration_m > 0.0),
-        (Optic::Spiders, has_geometry && pupil.spider_width_m > 0.0),
-        (Optic::Bandwidth, image.filter_file.is_none() && image.bandwidth_fraction > 0.0),
-        (Optic::PixelFill, image.pixel_fill > 0.0),
-    ];
-    each.into_iter().filter(|(_, has)| *has).map(|(optic, _)| optic).collect()
+    let is_there = |optic: &Optic| Parameter::of(*optic).all(|parameter| parameter.absence(scene).is_none());
+    CHECKED.into_iter().filter(is_there).collect()
 }
 
-/// Smallest change of a parameter that is a fault, in units of its scene's value for the plate scale and the filter, else in those of its key.
-/// The model is not exact: it has finitely many samples of the pupil and of modes.
-fn least(optic: Optic, scene: f64) -> f64 {
-    match optic {
-        Optic::PlateScale => 1e-3 * scene.abs(),
-        Optic::Bandwidth => 0.05 * scene.abs(),
-        Optic::Rotation => 0.1,
-        Optic::Illumination => 0.02,
-        Optic::PixelFill => 0.05,
-        Optic::Obscuration => 0.05,
-        Optic::Spiders => 0.005,
-        Optic::Defocus | Optic::Reflectivities => f64::INFINITY,
-    }
+/// Smallest change of a parameter that is a fault, in the unit of its key.
+fn least_fault(optic: Optic, of_scene: f64) -> f64 {
+    Parameter::of(optic).map(|parameter| parameter.least_fault(of_scene)).fold(f64::INFINITY, f64::min)
 }
 
 pub(super) fn quantity(optic: Optic) -> CheckedQuantity {
@@ -99,7 +90,7 @@ fn finding(
     let gain = rise / scale - group.len() as f64 * (minimum.pixels.max(2) as f64).ln();
     let length = change.dot(&change).sqrt();
     let sigma = group.iter().map(|one| one.sigma).fold(0.0, f64::max);
-    let is_apart = gain > 0.0 && length > least(optic, first.scene);
+    let is_apart = gain > 0.0 && length > least_fault(optic, first.scene);
     let is_fault = is_apart && is_explained;
     let verdict = match (is_apart, is_explained) {
         (false, _) => Verdict::Agrees,
