@@ -105,6 +105,8 @@ fn telemetry_is_used_at_its_gain_or_ignored_as_the_scene_sets() {
     assert!((0.85..1.15).contains(&check.gain) && check.correlation > 0.9, "{check:?}");
     assert!(check.excludes_flips && check.divided_by == 1.0 && check.image_correlations.len() == 4);
     assert!(found.report().contains("with a correlation of") && found.warnings.is_empty(), "{}", found.report());
+    let says_why = found.report().contains("too fine or too fast");
+    assert_eq!(says_why, found.reduced_chi2 > 1.1, "{}", found.report());
     assert!(!found.remarks.iter().any(|remark| remark.contains("orientation cannot be verified")));
     let negated = with_slopes(&right, |slopes| slopes * -40.0);
     let used = estimate(&scene(&[("estimate.telemetry", "use")]), &negated).unwrap();
