@@ -1076,8 +1076,8 @@ void cophase_sequence_destroy(cophase_sequence *sequence);
 cophase_status cophase_sequence_push(cophase_sequence *sequence,
                                      const cophase_session *session);
 
-/* ModalEstimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
- * outliers are found by comparing images, and error bars are from the scatter between them.
+/* The estimate from the images so far: their mean, clipped mean or median, as the scene says (estimate.combine). From eight
+ * images on, outliers are found by comparing images, and error bars are from the scatter between them.
  *
  * coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives
  *   modes x modes numbers. Each may be NULL.
@@ -1095,7 +1095,7 @@ cophase_status cophase_sequence_estimate(const cophase_sequence *sequence,
                                          size_t report_size);
 
 /* Number of further images like those so far that bring both error bars (nm RMS over the pupil) down to the given ones, in
- * `*images`; 0 if they are. Infinity asks nothing of an error bar.
+ * `*images`; 0 if they are. Infinity accepts any error bar.
  *
  * COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no image was fitted.
  */
