@@ -52,16 +52,17 @@ impl Scene {
     /// # Errors
     /// [`Error::Internal`] for a text that is not TOML.
     pub(crate) fn adopting(&self, system: &System) -> Result<Self> {
-        let (mut document, mut channels, mut is_changed) = (self.document()?, Vec::new(), false);
+        if *system == self.system {
+            return Ok(self.clone());
+        }
+        let (mut document, mut channels) = (self.document()?, Vec::new());
         for (section, key, value) in system.differences(self) {
-            is_changed = true;
             if section != "image" || self.channels().is_empty() {
                 set(&mut document, section, key, &value)?;
             }
         }
         for (own, of) in self.channels().iter().zip(system.channels()) {
             for (section, key, value) in of.system.differences(&own.scene) {
-                is_changed = true;
                 if section == "image" {
                     let value = Some(value).filter(|value| !value.is_empty());
                     channel::set(&mut document, &format!("{}.{key}", own.name), value.as_deref().map(word_or_value))?;
@@ -69,8 +70,7 @@ impl Scene {
             }
             channels.push(Channel { name: own.name.clone(), scene: own.scene.adopting(&of.system)? });
         }
-        let text = if is_changed { document.to_string().into() } else { self.text.clone() };
-        Ok(Self { system: system.clone(), text, channels: channels.into() })
+        Ok(Self { system: system.clone(), text: document.to_string().into(), channels: channels.into() })
     }
 
     pub(super) fn document(&self) -> Result<DocumentMut> {

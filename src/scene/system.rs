@@ -15,7 +15,7 @@ pub struct System {
 }
 
 /// One way of imaging the wavefront.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SystemChannel {
     /// Its name; its number from 1 where the scene does not name it.
     pub name: String,
@@ -34,10 +34,11 @@ struct Content {
     channels: Vec<SystemChannel>,
 }
 
-/// Systems are equal whose sections are.
+/// Systems are equal whose sections and channels are.
 impl PartialEq for System {
     fn eq(&self, other: &Self) -> bool {
-        self.content.sections == other.content.sections
+        let (own, other) = (&self.content, &other.content);
+        own.sections == other.sections && own.channels == other.channels
     }
 }
 
@@ -213,5 +214,11 @@ mod tests {
         assert!(system.channels().iter().all(|channel| channel.system.pupil.illumination_x == 0.1));
         let kept = system.channels().iter().zip(scene.channels());
         assert!(kept.into_iter().all(|(of, own)| of.system.image == own.scene.image));
+        // A change of the second channel alone is one of the system, and of its text.
+        let other = system.with_each_channel(|channel, sections| sections.image.count += channel).unwrap();
+        assert_ne!(other, system);
+        let adopted = scene.adopting(&other).unwrap();
+        let read = Scene::from_text(adopted.text(), Path::new("")).unwrap();
+        assert_eq!((read.system(), adopted.system()), (&other, &other));
     }
 }
