@@ -3,7 +3,7 @@
 use super::source::exported;
 use super::texts;
 
-/// Most names of the interface that versions keep: a page that a stranger can read.
+/// Largest number of public names of the library: their list fits a page.
 const MOST_PUBLIC: usize = 120;
 
 const LIMIT: usize = 60;
