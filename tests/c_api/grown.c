@@ -342,6 +342,40 @@ static void reports(void)
     cophase_session_destroy(session);
 }
 
+/* Reports on groups, likewise. */
+static void group_reports(void)
+{
+    const size_t known = sizeof(cophase_group_report);
+    const size_t sizes[] = {8, offsetof(cophase_group_report, freedom), known, known + GROWN_BYTES};
+    /* The time that it took differs from run to run. */
+    const size_t fixed = offsetof(cophase_group_report, seconds);
+    cophase_session *session = session_for(FRAMES);
+    cophase_input frames = input(frames_e, COPHASE_F32, FRAMES, rows, cols);
+    double *found_nm = (double *)malloc(FRAMES * modes * sizeof *found_nm);
+    cophase_group_report whole[FRAMES];
+    size_t i, k;
+
+    HOLDS(found_nm != NULL);
+    WORKS(cophase_session_fit(session, &frames, 1, NULL, found_nm, NULL, modes, NULL, 0, whole, sizeof *whole));
+    for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+        size_t shared = sizes[i] < known ? sizes[i] : known;
+        unsigned char *array = (unsigned char *)guarded(FRAMES * sizes[i]);
+
+        WORKS(cophase_session_fit(session, &frames, 1, NULL, found_nm, NULL, modes, NULL, 0, (cophase_group_report *)array,
+                                  sizes[i]));
+        HOLDS(guard_stands(array, FRAMES * sizes[i]));
+        for (k = 0; k < FRAMES; k++) {
+            const unsigned char *report = array + k * sizes[i];
+
+            HOLDS(memcmp(report, &whole[k], shared < fixed ? shared : fixed) == 0);
+            HOLDS(all_are(report + shared, sizes[i] - shared, 0));
+        }
+        free(array);
+    }
+    free(found_nm);
+    cophase_session_destroy(session);
+}
+
 static void sequence_reports(void)
 {
     const size_t known = sizeof(cophase_sequence_report);
@@ -408,6 +442,7 @@ int main(int argc, char **argv)
     calibration();
     model_arrays();
     reports();
+    group_reports();
     sequence_reports();
 
     free(expected_nm);
