@@ -862,17 +862,6 @@ typedef struct {
   double seconds;
 } cophase_group_report;
 
-/* Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
- * COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
- * with any other frames in the call.
- *
- * A group is what sees one wavefront: one frame of each channel of the model, which is one image of a model with one channel. Each
- * channel is fitted by itself, and the fits of several channels are combined: the modes that they have in common.
- *
- * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
- */
-typedef struct cophase_session cophase_session;
-
 /* Options of a session. */
 typedef struct {
   /* sizeof(cophase_session_options). */
@@ -910,6 +899,17 @@ typedef struct {
   /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's. */
   int64_t has_read_noise;
 } cophase_fit_options;
+
+/* Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
+ * COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
+ * with any other frames in the call.
+ *
+ * A group is what sees one wavefront: one frame of each channel of the model, which is one image of a model with one channel. Each
+ * channel is fitted by itself, and the fits of several channels are combined: the modes that they have in common.
+ *
+ * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
+ */
+typedef struct cophase_session cophase_session;
 
 /* Creates a session of a model, which need not outlive this call.
  *

@@ -203,7 +203,7 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
             AoKnowledge::Loop => COPHASE_AO_KNOWLEDGE_LOOP,
             AoKnowledge::Telemetry => COPHASE_AO_KNOWLEDGE_TELEMETRY,
         }),
-        precision: super::session::precision_number(precision),
+        precision: super::session_options::precision_number(precision),
         evaluations: estimate.evaluations() as u64,
         phasing_rms_nm: estimate.phasing.rms_nm,
         phasing_sigma_nm: estimate.phasing.sigma_nm,
