@@ -7,7 +7,8 @@
 //! `machine` is what the stages are held against: multiply-adds in single precision from registers, and reading a
 //! megabyte, on one core.
 
-use cophase::ao::{LANES, Progress, Shot, Simulator, Stage};
+use cophase::Control;
+use cophase::ao::{LANES, Shot, Simulator, Stage};
 use cophase::scene::Scene;
 use criterion::{Bencher, Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
@@ -43,7 +44,7 @@ fn runs(criterion: &mut Criterion) {
         group.bench_function(detector, |b| {
             b.iter(|| {
                 let mut shots: Vec<Shot> = Vec::new();
-                simulator.run(&mut shots, &mut Progress::default()).map(|summary| assert_eq!(summary.frames, 4000))
+                simulator.run(&mut shots, &Control::default()).map(|summary| assert_eq!(summary.frames, 4000))
             });
         });
     }

@@ -11,6 +11,7 @@
 //! - a **fit** is some 15 evaluations, each with two products with an M×M matrix, and one metric, which costs what error
 //!   bars cost.
 
+use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, Frame, ModalFitter};
 use cophase::scene::Scene;
@@ -182,7 +183,7 @@ fn measure(point: &Point) -> Found {
 
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
     let estimate = estimator
-        .estimate(&mut chain, cube.images_e, cube.bad, None, None, &mut |_, _| {})
+        .estimate(&mut chain, Cube { images_e: cube.images_e, bad: cube.bad, read_noise_e: None }, &Control::default())
         .expect("the images can be fitted");
     let evaluations = estimate.images.iter().map(|report| report.evaluations).sum();
     // What the images of this process take is not the estimator's.

@@ -74,6 +74,10 @@ mod ao;
 #[cfg(feature = "internals")]
 pub mod ao;
 #[cfg(not(feature = "internals"))]
+mod control;
+#[cfg(feature = "internals")]
+pub mod control;
+#[cfg(not(feature = "internals"))]
 mod device;
 #[cfg(feature = "internals")]
 pub mod device;

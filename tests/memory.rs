@@ -4,12 +4,13 @@ mod common;
 
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, ModalFitter};
+use cophase::pipeline::{Control, Stage};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
 
 /// The system's allocator, with a count of the bytes that stand.
 struct Counting;
@@ -86,7 +87,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 fn estimate_of(estimator: &ModalFitter, chain: &mut Chain, images_e: &Array3<f64>) -> cophase::modal::ModalEstimate {
     let bad = images_e.mapv(|_| false);
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-    estimator.estimate(chain, cube.images_e, cube.bad, None, None, &mut |_, _| {}).unwrap()
+    estimator.estimate(chain, cube, &Control::default()).unwrap()
 }
 
 /// `scene` with memory for `images` at once, and its limit in bytes.
@@ -105,12 +106,20 @@ fn a_cube_in_tiles_is_fitted_to_the_same_bits() {
     assert_eq!(estimator.model().tiles().images, 3);
     // Chains with room for a tile, not for the cube.
     for (name, mut chain) in common::chains(&estimator, 3) {
-        let mut seen = Vec::new();
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let control = {
+            let seen = seen.clone();
+            Control::with_observer(move |progress| seen.lock().unwrap().push((progress.stage, progress.done)))
+        };
         let bad = images_e.mapv(|_| false);
-        let mut watch = |done: usize, all: usize| seen.push((done, all));
-        let together = estimator.estimate(&mut chain, images_e.view(), bad.view(), None, None, &mut watch).unwrap();
-        assert_eq!(seen.last(), Some(&(7, 7)), "{name}");
-        assert!(seen.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{name}: {seen:?}");
+        let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
+        let together = estimator.estimate(&mut chain, cube, &control).unwrap();
+        // Each image is a step, and what follows the fits is none.
+        let seen = seen.lock().unwrap();
+        let fits: Vec<u64> =
+            seen.iter().filter(|(stage, _)| *stage != Stage::Combining).map(|(_, done)| *done).collect();
+        assert_eq!(fits, (1..=7).collect::<Vec<u64>>(), "{name}");
+        assert_eq!(seen.last(), Some(&(Stage::Combining, 0)), "{name}");
         for image in 0..7 {
             let alone = estimate_of(&estimator, &mut chain, &images_e.slice(s![image..=image, .., ..]).to_owned());
             let (found, wanted) = (&together.image_coefficients_nm, &alone.image_coefficients_nm);

@@ -3,9 +3,10 @@
 #[path = "optimize/problems.rs"]
 mod problems;
 
+use cophase::control::CancelFlag;
 use cophase::optimize::{
-    ArgminBfgs, CancelFlag, Metric, Objective, Outcome, Progress, QuasiNewton, RESOLUTION_F32, Scaling, Settings,
-    StopReason, minimize,
+    ArgminBfgs, Metric, Objective, Outcome, Progress, QuasiNewton, RESOLUTION_F32, Scaling, Settings, StopReason,
+    minimize,
 };
 use cophase::{Error, Result};
 use ndarray::Array2;

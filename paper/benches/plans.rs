@@ -3,6 +3,7 @@
 //! Random scenes of Keck (errors, star, defocus) are planned, and a wavefront that the planner has not seen is read by
 //! the plan and by the scene's own model in double precision.
 
+use cophase::Control;
 use cophase::Result;
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
@@ -29,7 +30,7 @@ fn main() -> Result<()> {
     for number in 0..scenes {
         let scene = random(number, &mut rng)?;
         let began = Instant::now();
-        let plan = planner::plan(&scene, budget_nm, None)?;
+        let plan = planner::plan(&scene, budget_nm, &Control::default())?;
         let plan_s = began.elapsed().as_secs_f64();
         let (planned_s, planned_nm) = read(&plan.scene, &scene)?;
         let (own_s, own_nm) = read(&own_model(&scene)?, &scene)?;
@@ -95,7 +96,7 @@ fn read(model: &Scene, scene: &Scene) -> Result<(f64, [f64; 2])> {
     let mut fit = |images_e: &Array3<f64>| -> Result<ImageFits> {
         let bad = images_e.mapv(|_| false);
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-        estimator.fit_each(&mut chain, cube, None, &mut |_, _| {})
+        estimator.fit_each(&mut chain, cube, &Control::default())
     };
     let found = fit(&made.images_e)?;
     let many = concatenate(Axis(0), &vec![made.images_e.view(); BATCH]).expect("the images have one shape");

@@ -2,11 +2,9 @@
 //!
 //! `cophase-paper hard-cases` tries all of them on more draws; docs/hard-cases.md has its table.
 
-use cophase::optimize::CancelFlag;
+use cophase::Control;
 use cophase::{Error, Result};
 use cophase_paper::reproduce::{Draws, HARD_CASES, HardCase, HardCases, Progress, Verdict, hard_cases};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 /// Cases that are right and not flagged.
 const RIGHT: [&str; 12] = [
@@ -56,7 +54,7 @@ const OTHERS: [&str; 9] = [
 
 fn tried(names: &[&str], seeds: usize) -> Result<HardCases> {
     let names: Vec<String> = names.iter().map(|name| (*name).into()).collect();
-    hard_cases(&HardCase::named(&names)?, seeds, &Progress::new(&|_, _| {}, None))
+    hard_cases(&HardCase::named(&names)?, seeds, &Progress::new(&|_, _| {}, &Control::default()))
 }
 
 fn of<'a>(found: &'a HardCases, name: &str) -> &'a [Verdict] {
@@ -170,8 +168,9 @@ fn faint_stars_are_right_or_flagged() {
 #[test]
 fn invalid_and_cancelled_requests_are_refused() {
     assert!(matches!(tried(&["no such case"], 1), Err(Error::Value(_))));
-    let up: CancelFlag = Arc::new(AtomicBool::new(true));
+    let cancelled = Control::default();
+    cancelled.cancel();
     let cases = HardCase::named(&["no defocus".into()]).unwrap();
-    let stopped = hard_cases(&cases, 1, &Progress::new(&|_, _| {}, Some(&up)));
+    let stopped = hard_cases(&cases, 1, &Progress::new(&|_, _| {}, &cancelled));
     assert!(matches!(stopped, Err(Error::Interrupted(_))));
 }

@@ -67,7 +67,8 @@ impl Drift {
 
 #[cfg(test)]
 mod tests {
-    use crate::ao::{Frame, Progress, Recorder, Shot, Simulator, undisturb};
+    use crate::ao::{Frame, Recorder, Shot, Simulator, undisturb};
+    use crate::control::Control;
     use crate::scene::Scene;
     use ndarray::Array2;
 
@@ -114,7 +115,7 @@ mod tests {
         let mut simulator = Simulator::new(&scene.system().with(undisturb).unwrap()).unwrap();
         let still_nm = simulator.segments_nm().to_vec();
         let mut ends = Ends::default();
-        simulator.run(&mut ends, &mut Progress::default()).unwrap();
+        simulator.run(&mut ends, &Control::default()).unwrap();
         let rms = |map_nm: &[f32]| {
             let amplitude = simulator.footprint().amplitude();
             let square = |(nm, a): (&f32, &f32)| f64::from(a * nm * nm);

@@ -5,18 +5,18 @@ use super::aligned::AlignedBuffer;
 use super::correction::CorrectionLoop;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::exposure::{ExposedWavefront, FinishedImage};
-use super::recorder::{Progress, Recorder, Shot};
+use super::recorder::{Recorder, Shot};
 use super::schedule::{Exposure, Schedule};
+use crate::control::{Control, Stage};
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::collections::VecDeque;
-use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender};
 
 /// Consecutive frames of turbulence.
 pub(super) type Batch = Vec<AlignedBuffer>;
 
-/// Frames between two checks of the cancel flag and of finished images.
+/// Frames between two checks for cancellation and of finished images.
 const LOOK_EVERY: u64 = 128;
 
 /// State of the loop during a run.
@@ -69,9 +69,10 @@ impl<'a> LoopRun<'a> {
         empty: SyncSender<Batch>,
         exposed: SyncSender<ExposedWavefront>,
         finished: &Receiver<FinishedImage>,
-        progress: &mut Progress,
+        control: &Control,
     ) -> Result<()> {
         let frames = self.schedule.frames();
+        control.enter(Stage::Simulating, frames as usize);
         let mut exposure = 0;
         while let Ok(mut batch) = ready.recv() {
             for opd_nm in batch.iter_mut().take((frames - self.frame) as usize) {
@@ -84,7 +85,7 @@ impl<'a> LoopRun<'a> {
                     return Ok(());
                 }
                 if self.frame.is_multiple_of(LOOK_EVERY) {
-                    self.report(finished, progress)?;
+                    self.report(finished, control)?;
                 }
             }
             // The send fails if the turbulence thread has made its last batch and ended.
@@ -148,14 +149,9 @@ impl<'a> LoopRun<'a> {
     }
 
     /// Checks for cancellation, reports progress, and passes on finished images.
-    fn report(&mut self, finished: &Receiver<FinishedImage>, progress: &mut Progress) -> Result<()> {
-        let frames = self.schedule.frames();
-        if progress.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            return Err(Error::Interrupted(format!("{} of {frames} frames were simulated", self.frame)));
-        }
-        if let Some(watch) = &mut progress.watch {
-            watch(self.frame, frames);
-        }
+    fn report(&mut self, finished: &Receiver<FinishedImage>, control: &Control) -> Result<()> {
+        control.check_with(|| format!("{} of {} frames were simulated", self.frame, self.schedule.frames()))?;
+        control.step(LOOK_EVERY as usize);
         self.collect(finished)
     }
 

@@ -50,7 +50,7 @@ pub use footprint::{Footprint, LANES};
 pub(crate) use parts::actuators;
 pub use parts::{actuators_in_use, sensor_pupil};
 pub use profile::{Profile, Stage};
-pub use recorder::{Progress, Recorder, Shot, Summary};
+pub use recorder::{Recorder, Shot, Summary};
 #[cfg(test)]
 pub(crate) use schedule::Schedule;
 pub use sensor::{GuideStar, Lenslets, Sensor, SlopeFormat};

@@ -1,11 +1,10 @@
-//! What a run gives to its caller: frames, images with their telemetry, statistics, progress.
+//! What a run gives to its caller: frames, images with their telemetry, statistics.
 
 use super::correction::Frame;
 use super::divergence::Divergence;
 use super::profile::Profile;
 use crate::Result;
 use ndarray::Array2;
-use std::sync::atomic::AtomicBool;
 
 /// One image with the telemetry of its exposure.
 #[derive(Debug, Clone)]
@@ -83,13 +82,4 @@ impl Summary {
     pub fn frames_per_s(&self) -> f64 {
         self.frames as f64 / self.seconds
     }
-}
-
-/// Progress report and cancellation of a run.
-#[derive(Default)]
-pub struct Progress<'a> {
-    /// Called with (frames done, frames in all) every `LOOK_EVERY` frames.
-    pub watch: Option<&'a mut dyn FnMut(u64, u64)>,
-    /// Flag that stops the run when another thread sets it.
-    pub cancel: Option<&'a AtomicBool>,
 }

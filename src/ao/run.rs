@@ -13,9 +13,10 @@ use super::divergence::DivergenceMonitor;
 use super::exposure::DetectorThread;
 use super::loop_run::{Batch, LoopRun};
 use super::profile::Stage;
-use super::recorder::{Progress, Recorder, Summary};
+use super::recorder::{Recorder, Summary};
 use super::schedule::Schedule;
 use super::simulator::{Simulator, sections};
+use crate::control::Control;
 use crate::{Error, Result};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
@@ -34,12 +35,12 @@ impl Simulator {
     /// the turbulence may be some frames ahead of the loop.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] if the cancel flag was set; the errors of `recorder` and of the camera.
-    pub fn run(&mut self, recorder: &mut dyn Recorder, progress: &mut Progress) -> Result<Summary> {
+    /// [`Error::Interrupted`] where `control` was cancelled; the errors of `recorder` and of the camera.
+    pub fn run(&mut self, recorder: &mut dyn Recorder, control: &Control) -> Result<Summary> {
         let started = Instant::now();
         let scene = self.scene().clone();
-        let (sensing, control) = sections(&scene)?;
-        let schedule = Schedule::new(&scene, control.settle_s, control.frame_rate_hz)?;
+        let (sensing, controller) = sections(&scene)?;
+        let schedule = Schedule::new(&scene, controller.settle_s, controller.frame_rate_hz)?;
         let frames = schedule.frames();
         let detectors = Detector::all(self)?;
         let flux_e = detectors.iter().map(|detector| detector.flux_e).collect();
@@ -67,7 +68,7 @@ impl Simulator {
             let (images, finished) = channel();
             let camera = scope.spawn(move || detector.run(&wavefronts, &images));
             // Both threads end when `close` returns, with or without an error, and drops their channels.
-            let outcome = run.close(ready, empty, exposed, &finished, progress);
+            let outcome = run.close(ready, empty, exposed, &finished, control);
             let turbulence = turbulence.join().map_err(|_| Error::Internal("the turbulence thread panicked".into()));
             let camera = camera.join().map_err(|_| Error::Internal("the detector thread panicked".into()));
             // An error of the turbulence also stops the loop: it is the cause, so it is returned first.
@@ -135,7 +136,7 @@ mod tests {
 
     fn run(scene: &Scene) -> (Vec<Shot>, Summary) {
         let mut shots: Vec<Shot> = Vec::new();
-        let summary = Simulator::new(scene).unwrap().run(&mut shots, &mut Progress::default()).unwrap();
+        let summary = Simulator::new(scene).unwrap().run(&mut shots, &Control::default()).unwrap();
         (shots, summary)
     }
 

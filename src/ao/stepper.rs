@@ -105,8 +105,9 @@ impl Stepper {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ao::Shot;
     use crate::ao::testing::small;
-    use crate::ao::{Progress, Shot};
+    use crate::control::Control;
     use crate::scene::Scene;
 
     fn scene(settings: &[(&str, &str)]) -> Scene {
@@ -124,7 +125,7 @@ mod tests {
             ("image.count", "2"),
         ]);
         let mut shots: Vec<Shot> = Vec::new();
-        Simulator::new(&quiet).unwrap().run(&mut shots, &mut Progress::default()).unwrap();
+        Simulator::new(&quiet).unwrap().run(&mut shots, &Control::default()).unwrap();
         let mut stepper = Stepper::new(&quiet).unwrap();
         assert_eq!(shots.len(), 2);
         for shot in shots {

@@ -5,6 +5,7 @@ use super::input::{Input, cophase_input};
 use super::pointer::{numbers, place, put, put_array, put_if_wanted, text};
 use super::sized::{self, Options, Outputs};
 use super::status::cophase_status;
+use crate::control::Control;
 use crate::machine::start_threads;
 use crate::modal::{Arrays, ChannelFitters, ModalFitter};
 use crate::modes::Group;
@@ -163,7 +164,7 @@ pub unsafe extern "C" fn cophase_model_create(
         let fitters = if arrays.is_null() {
             let scene = Scene::from_text(scene_text, directory)?;
             // Bad pixels are known frame by frame only: a scene for a camera that has some sets estimate.sampling.
-            let resolved = planner::resolve(&scene, None)?;
+            let resolved = planner::resolve(&scene, &Control::default())?;
             ChannelFitters::new(&resolved)?
         } else {
             let scene = Scene::for_arrays(scene_text, directory)?;

@@ -13,11 +13,10 @@ use super::status::{COPHASE_OK, cophase_status};
 use super::text::*;
 use crate::machine::start_threads;
 use crate::modal::{Calibration, CameraMaps, ModalFitter, Session};
-use crate::optimize::CancelFlag;
+use crate::pipeline::Control;
 use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::ffi::c_char;
-use std::sync::atomic::Ordering;
 
 /// Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
 /// COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
@@ -28,7 +27,7 @@ use std::sync::atomic::Ordering;
 ///
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header
-pub struct cophase_session(Handle<Working, CancelFlag>);
+pub struct cophase_session(Handle<Working, Control>);
 
 impl Object for cophase_session {
     const KIND: u64 = 3;
@@ -153,8 +152,8 @@ pub unsafe extern "C" fn cophase_session_create(
         start_threads()?;
         let options = unsafe { session_options(&sized::read(options, "options")?) }?;
         let session = Session::new(unsafe { fitters(model) }?, &options)?;
-        let cancel = session.cancel_flag();
-        let handle = Handle::new::<cophase_session>(Working::new(session)?, cancel);
+        let control = session.control().clone();
+        let handle = Handle::new::<cophase_session>(Working::new(session)?, control);
         unsafe { out.write(Box::into_raw(Box::new(cophase_session(handle)))) };
         Ok(())
     })
@@ -192,7 +191,7 @@ pub unsafe extern "C" fn cophase_session_calibrate(
 pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session) -> cophase_status {
     match unsafe { find(session, "session") } {
         Ok(session) => {
-            session.0.aside.store(true, Ordering::Relaxed);
+            session.0.aside.cancel();
             COPHASE_OK
         }
         Err(error) => fence(|| Err(error)),

@@ -3,6 +3,8 @@
 
 mod free;
 
+pub use free::FreeWavefront;
+
 use super::detector::{Evaluation, Exposure, LoadedImage};
 use super::field::{Field, FieldState};
 use super::optics::Optics;

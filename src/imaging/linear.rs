@@ -32,6 +32,7 @@ struct ColourState<'a> {
     /// The focal field, row-planar. By the same transform as the derivatives: others differ by a phase.
     focus: Vec<f64>,
     waves: Waves,
+    samples: usize,
     pixels: usize,
 }
 
@@ -59,13 +60,62 @@ impl<'a> ColourState<'a> {
         let (mut pupil, mut focus) = (vec![0.0; 2 * n * n], vec![0.0; 2 * m * m]);
         field.forward(coefficients_nm, &mut state, &mut pupil);
         transform.forward(&pupil, &mut focus, &mut transform.workspace());
-        Self { field, state, transform, focus, waves: Waves::new(sampling), pixels: m }
+        Self { field, state, transform, focus, waves: Waves::new(sampling), samples: n, pixels: m }
     }
 
     fn add_psf(&self, psf: &mut [f64]) {
         let m = self.pixels;
         let lines = self.focus.chunks_exact(2 * m).flat_map(|line| line[..m].iter().zip(&line[m..]));
         psf.iter_mut().zip(lines).for_each(|(psf, (re, im))| *psf += re * re + im * im);
+    }
+
+    /// Adds the derivative of the intensity of some rows of pixels by the coefficient of a mode.
+    fn whole_pupil(&self, mode: Mode, rows: &Range<usize>, buffers: &mut ThreadBuffers, out: ArrayViewMut1<f64>) {
+        let (n, m) = (self.samples, self.pixels);
+        let FullPupilBuffers { pupil, focus, workspace } = buffers.whole.get_or_insert_with(|| FullPupilBuffers {
+            pupil: vec![0.0; 2 * n * n],
+            focus: vec![0.0; 2 * m * m],
+            workspace: self.transform.workspace(),
+        });
+        pupil.fill(0.0);
+        self.field.derivative(mode, &self.state, pupil);
+        self.transform.forward(pupil, focus, workspace);
+        self.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
+    }
+
+    /// As [`ColourState::whole_pupil`], of a mode within some rows and columns of the pupil.
+    fn patch(
+        &self,
+        mode: Mode,
+        [ys, xs]: &[Range<usize>; 2],
+        rows: &Range<usize>,
+        buffers: &mut ThreadBuffers,
+        out: ArrayViewMut1<f64>,
+    ) {
+        let (n, m) = (self.samples, self.pixels);
+        let (height, count) = (ys.len(), rows.len());
+        // The derivative is written into the whole pupil; only the box is changed, and cleared afterwards.
+        self.field.derivative(mode, &self.state, &mut buffers.pupil);
+        let samples = Matrix::from_rows(&buffers.pupil, n, 2 * n);
+        let [d_re, d_im] = [0, n].map(|plane| samples.part(ys.clone(), plane + xs.start..plane + xs.end));
+        let [c, s] = [&self.waves.cos, &self.waves.sin].map(|table| Matrix::from_rows(table, n, m));
+        let [cx, sx] = [c, s].map(|table| table.part(xs.clone(), 0..m));
+        // (re + i·im)(c − i·s) along x, then along y.
+        let a = &mut buffers.along_x[..2 * height * m];
+        let (re, im) = MatrixMut::from_rows(a, height, 2 * m).split_at_column(m);
+        two_products(re, [(1.0, d_re, cx), (1.0, d_im, sx)]);
+        two_products(im, [(1.0, d_im, cx), (-1.0, d_re, sx)]);
+        let a = Matrix::from_rows(&*a, height, 2 * m);
+        let [a_re, a_im] = [0, m].map(|plane| a.part(0..height, plane..plane + m));
+        let [cy, sy] = [c, s].map(|table| table.part(ys.clone(), rows.clone()).transpose());
+        let u = &mut buffers.along_y[..2 * count * m];
+        let (re, im) = MatrixMut::from_rows(u, count, 2 * m).split_at_column(m);
+        two_products(re, [(1.0, cy, a_re), (1.0, sy, a_im)]);
+        two_products(im, [(1.0, cy, a_im), (-1.0, sy, a_re)]);
+        for line in buffers.pupil[2 * n * ys.start..2 * n * ys.end].chunks_exact_mut(n) {
+            line[xs.clone()].fill(0.0);
+        }
+        self.intensity(rows, &buffers.along_y[..2 * count * m], out);
     }
 
     /// Adds d|U|² = 2 Re(U*·dU) of some rows.
@@ -129,9 +179,9 @@ impl LinearModel<'_> {
         out.fill(0.0);
         self.colours.iter().for_each(|colour| match mode {
             Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
-                self.patch(colour, mode, &self.boxes[s], rows, buffers, out.view_mut());
+                colour.patch(mode, &self.boxes[s], rows, buffers, out.view_mut());
             }
-            _ => self.whole_pupil(colour, mode, rows, buffers, out.view_mut()),
+            _ => colour.whole_pupil(mode, rows, buffers, out.view_mut()),
         });
     }
 
@@ -140,61 +190,6 @@ impl LinearModel<'_> {
         let [ys, xs] = &self.boxes[segment];
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
         2 * ys.len() * (xs.len() + m) < n * (n + m)
-    }
-
-    fn whole_pupil(
-        &self,
-        colour: &ColourState,
-        mode: Mode,
-        rows: &Range<usize>,
-        buffers: &mut ThreadBuffers,
-        out: ArrayViewMut1<f64>,
-    ) {
-        let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
-        let FullPupilBuffers { pupil, focus, workspace } = buffers.whole.get_or_insert_with(|| FullPupilBuffers {
-            pupil: vec![0.0; 2 * n * n],
-            focus: vec![0.0; 2 * m * m],
-            workspace: colour.transform.workspace(),
-        });
-        pupil.fill(0.0);
-        colour.field.derivative(mode, &colour.state, pupil);
-        colour.transform.forward(pupil, focus, workspace);
-        colour.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
-    }
-
-    fn patch(
-        &self,
-        colour: &ColourState,
-        mode: Mode,
-        [ys, xs]: &[Range<usize>; 2],
-        rows: &Range<usize>,
-        buffers: &mut ThreadBuffers,
-        out: ArrayViewMut1<f64>,
-    ) {
-        let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
-        let (height, count) = (ys.len(), rows.len());
-        // The derivative is written into the whole pupil; only the box is changed, and cleared afterwards.
-        colour.field.derivative(mode, &colour.state, &mut buffers.pupil);
-        let samples = Matrix::from_rows(&buffers.pupil, n, 2 * n);
-        let [d_re, d_im] = [0, n].map(|plane| samples.part(ys.clone(), plane + xs.start..plane + xs.end));
-        let [c, s] = [&colour.waves.cos, &colour.waves.sin].map(|table| Matrix::from_rows(table, n, m));
-        let [cx, sx] = [c, s].map(|table| table.part(xs.clone(), 0..m));
-        // (re + i·im)(c − i·s) along x, then along y.
-        let a = &mut buffers.along_x[..2 * height * m];
-        let (re, im) = MatrixMut::from_rows(a, height, 2 * m).split_at_column(m);
-        two_products(re, [(1.0, d_re, cx), (1.0, d_im, sx)]);
-        two_products(im, [(1.0, d_im, cx), (-1.0, d_re, sx)]);
-        let a = Matrix::from_rows(&*a, height, 2 * m);
-        let [a_re, a_im] = [0, m].map(|plane| a.part(0..height, plane..plane + m));
-        let [cy, sy] = [c, s].map(|table| table.part(ys.clone(), rows.clone()).transpose());
-        let u = &mut buffers.along_y[..2 * count * m];
-        let (re, im) = MatrixMut::from_rows(u, count, 2 * m).split_at_column(m);
-        two_products(re, [(1.0, cy, a_re), (1.0, sy, a_im)]);
-        two_products(im, [(1.0, cy, a_im), (-1.0, sy, a_re)]);
-        for line in buffers.pupil[2 * n * ys.start..2 * n * ys.end].chunks_exact_mut(n) {
-            line[xs.clone()].fill(0.0);
-        }
-        colour.intensity(rows, &buffers.along_y[..2 * count * m], out);
     }
 }
 

@@ -24,7 +24,7 @@ mod work;
 
 pub use crate::fourier::{Real, Sampling, Transform};
 pub use chain::{Chain, Choice, Fallback, Precision};
-pub use cpu::{CpuChain, FlatWavefront, Scratch};
+pub use cpu::{CpuChain, FlatWavefront, FreeWavefront, Scratch};
 pub use detector::{Evaluation, Exposure, LoadedImage, Photometry};
 pub use device_group::{DeviceGroup, GroupMember};
 pub use linear::LinearModel;

@@ -3,7 +3,7 @@
 use super::combine::{self, Combination, ModalEstimate};
 use super::combined_modes::CombinedModes;
 use super::cube::Cube;
-use super::engine::{FitState, FitTask, ImageFit, Watch};
+use super::engine::{FitState, FitTask, ImageFit};
 use super::fit_series::{FIRST, FitSeries, SeriesStep};
 use super::fitter::ModalFitter;
 use super::in_focus::NearLikelihood;
@@ -13,11 +13,11 @@ use super::pistons;
 use super::prepare::{Frame, PreparedFrame, Refusal};
 use super::sequence::SEQUENCE;
 use super::status::{self, ImageReport, Status};
+use crate::control::{Control, Stage};
 use crate::imaging::{Chain, Precision};
-use crate::optimize::CancelFlag;
 use crate::scene::Combine;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1, ArrayView3};
+use ndarray::{Array2, ArrayView1};
 use std::time::Instant;
 
 /// Coefficients and report of each image; see [`ModalFitter::fit_each`].
@@ -64,21 +64,13 @@ impl FittedCube {
 impl ModalFitter {
     /// Estimates the static wavefront behind a cube of images (`[image, y, x]`, electrons) on `chain`.
     ///
-    /// Images that cannot be used are reported with their reason and left out. `watch` is called with the number of images that are done.
+    /// Images that cannot be used are reported with their reason and left out.
     ///
     /// # Errors
     /// [`Error::Image`] where no image can be used, [`Error::Shape`] where they have another size than the scene says,
-    /// [`Error::Interrupted`] where `cancel` was raised, [`Error::Device`] where the device failed.
-    pub fn estimate(
-        &self,
-        chain: &mut Chain,
-        images_e: ArrayView3<f64>,
-        bad: ArrayView3<bool>,
-        read_noise_e: Option<f64>,
-        cancel: Option<&CancelFlag>,
-        watch: &mut Watch,
-    ) -> Result<ModalEstimate> {
-        self.estimate_from(chain, Cube { images_e, bad, read_noise_e }, (None, None), cancel, watch)
+    /// [`Error::Interrupted`] where `control` was cancelled, [`Error::Device`] where the device failed.
+    pub fn estimate(&self, chain: &mut Chain, cube: Cube, control: &Control) -> Result<ModalEstimate> {
+        self.estimate_from(chain, cube, None, None, control)
     }
 
     /// As [`ModalFitter::estimate`]; with `start_nm` each image is fitted from there, and not restarted. Fits that `series` have are taken.
@@ -89,12 +81,12 @@ impl ModalFitter {
         &self,
         chain: &mut Chain,
         cube: Cube,
-        (start_nm, series): (Option<&[f64]>, Option<&mut FitSeries>),
-        cancel: Option<&CancelFlag>,
-        watch: &mut Watch,
+        start_nm: Option<&[f64]>,
+        series: Option<&mut FitSeries>,
+        control: &Control,
     ) -> Result<ModalEstimate> {
         let started = Instant::now();
-        let fitted = self.fit_all(chain, cube, (start_nm, series), cancel, watch)?;
+        let fitted = self.fit_all(chain, cube, start_nm, series, control)?;
         self.combined(chain, fitted, started)
     }
 
@@ -107,10 +99,10 @@ impl ModalFitter {
         chain: &mut Chain,
         cube: Cube,
         others: &CombinedModes,
-        cancel: Option<&CancelFlag>,
+        control: &Control,
     ) -> Result<ModalEstimate> {
         let started = Instant::now();
-        let mut fitted = self.fit_all(chain, cube, (Some(&others.coefficients_nm), None), cancel, &mut |_, _| {})?;
+        let mut fitted = self.fit_all(chain, cube, Some(&others.coefficients_nm), None, control)?;
         let near = NearLikelihood::new(self, &fitted.prepared, &mut fitted.minima, others)?;
         let mut estimate = self.combined(chain, fitted, started)?;
         estimate.near = Some(near);
@@ -135,15 +127,8 @@ impl ModalFitter {
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
-    pub fn fit_each(
-        &self,
-        chain: &mut Chain,
-        cube: Cube,
-        cancel: Option<&CancelFlag>,
-        watch: &mut Watch,
-    ) -> Result<ImageFits> {
-        let FittedCube { refused, indices, prepared, minima } =
-            self.fit_all(chain, cube, (None, None), cancel, watch)?;
+    pub fn fit_each(&self, chain: &mut Chain, cube: Cube, control: &Control) -> Result<ImageFits> {
+        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, None, None, control)?;
         let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
         let mut reports: Vec<ImageReport> = refused
             .into_iter()
@@ -165,15 +150,14 @@ impl ModalFitter {
         &self,
         chain: &mut Chain,
         cube: Cube,
-        (start_nm, mut series): (Option<&[f64]>, Option<&mut FitSeries>),
-        cancel: Option<&CancelFlag>,
-        watch: &mut Watch,
+        start_nm: Option<&[f64]>,
+        mut series: Option<&mut FitSeries>,
+        control: &Control,
     ) -> Result<FittedCube> {
-        let (frames, task) = (self.frames(&cube)?, self.task(cancel));
+        let (frames, task) = (self.frames(&cube)?, self.task(control));
         let flat_nm = vec![0.0; self.model.optics.modes()];
         let start_of_all_nm = start_nm.unwrap_or(&flat_nm);
-        let (mut fits, cleaned) =
-            self.fit_cleaned(chain, &task, (&frames, start_of_all_nm), series.as_deref_mut(), watch)?;
+        let (mut fits, cleaned) = self.fit_cleaned(chain, &task, (&frames, start_of_all_nm), series.as_deref_mut())?;
         if !fits.iter().any(ImageFit::is_fitted) {
             let refused = fits.iter().find_map(|fit| match fit.state {
                 FitState::Refused(refusal) => Some(refusal.to_string()),
@@ -199,14 +183,14 @@ impl ModalFitter {
         &self,
         chain: &mut Chain,
         cube: Cube,
-        (which, series): (&[usize], &mut FitSeries),
-        cancel: Option<&CancelFlag>,
-        watch: &mut Watch,
+        which: &[usize],
+        series: &mut FitSeries,
+        control: &Control,
     ) -> Result<()> {
-        let (all, task) = (self.frames(&cube)?, self.task(cancel));
+        let (all, task) = (self.frames(&cube)?, self.task(control));
         let frames: Vec<Frame> = which.iter().map(|image| all[*image]).collect();
         let flat_nm = vec![0.0; self.model.optics.modes()];
-        let (mut fits, cleaned) = self.fit_cleaned(chain, &task, (&frames, &flat_nm), Some(&mut *series), watch)?;
+        let (mut fits, cleaned) = self.fit_cleaned(chain, &task, (&frames, &flat_nm), Some(&mut *series))?;
         let misfits = self.reports(&fits).iter().filter(|report| report.status != Status::Ok).count();
         if all.len() < SEQUENCE || 2 * misfits < fits.len() {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits, Some(series))?;
@@ -221,13 +205,13 @@ impl ModalFitter {
         task: &FitTask,
         (frames, start_nm): (&[Frame], &[f64]),
         mut series: Option<&mut FitSeries>,
-        watch: &mut Watch,
     ) -> Result<(Vec<ImageFit>, Vec<Option<CleanedFrame>>)> {
         let mut fit = ImageFit::new(&self.model.preparation, self.model.optics.modes());
         fit.start_nm.copy_from_slice(start_nm);
         let (mut fits, images) = (vec![fit; frames.len()], (0..frames.len()).collect::<Vec<_>>());
         let step = series.as_deref_mut().map(|series| SeriesStep { series, images: &images, step: FIRST });
-        self.fit_frames(chain, task, frames, &mut fits, step, watch)?;
+        self.fit_frames(chain, task, frames, &mut fits, step)?;
+        task.control.enter(Stage::Combining, 0);
         let cleaned = self.reject_outliers(chain, task, frames, &mut fits, series)?;
         Ok((fits, cleaned))
     }

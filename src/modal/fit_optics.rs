@@ -22,7 +22,7 @@ use super::cube::Cube;
 use super::fitter::ModalFitter;
 use super::model_cache::ModelCache;
 use super::recipe::Recipe;
-use crate::optimize::CancelFlag;
+use crate::control::Control;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
@@ -44,10 +44,10 @@ pub(super) fn estimator(
     recipe: &Recipe,
     cube: Cube,
     native: bool,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<ModalFitter> {
     let cache = ModelCache::default();
-    with_search(scene, recipe, &cache, cube, native, cancel, |search, own| {
+    with_search(scene, recipe, &cache, cube, native, control, |search, own| {
         Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
     })
 }
@@ -71,10 +71,10 @@ pub(crate) fn explaining_fit(
     cache: &ModelCache,
     cube: Cube,
     factor: f64,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<Option<(ModalFitter, [f64; 2])>> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
+    with_search(scene, &recipe, cache, cube, false, control, |search, own| {
         let first = search.iterate(&own)?;
         let own_chi2 = first.reduced_chi2;
         let elsewhere = own.iter().map(|value| factor * value).collect();
@@ -121,10 +121,10 @@ pub(crate) fn fit_together(
     cache: &ModelCache,
     cube: Cube,
     start: &OpticsStart,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<OpticsMinimum> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
+    with_search(scene, &recipe, cache, cube, false, control, |search, own| {
         let mut elsewhere = own.clone();
         for &(optic, value) in start.values {
             let is_it =
@@ -155,7 +155,7 @@ fn with_search<T>(
     cache: &ModelCache,
     cube: Cube,
     native: bool,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
     search: impl FnOnce(&Search, Vec<f64>) -> Result<T>,
 ) -> Result<T> {
     let optics = scene.estimate.fit_optics.clone();
@@ -177,5 +177,18 @@ fn with_search<T>(
     let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
     let (scene_basis, modes) = (cache.basis.clone(), OnceLock::new());
-    search(&Search { scene: fixed, parameters, steps, recipe, native, scene_basis, modes, cube, cancel }, own)
+    search(
+        &Search {
+            scene: fixed,
+            parameters,
+            steps,
+            recipe,
+            native,
+            scene_basis,
+            modes,
+            cube,
+            control: control.silent(),
+        },
+        own,
+    )
 }

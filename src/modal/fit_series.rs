@@ -4,7 +4,7 @@
 //! before, and nothing else enters but the image: a fit that was made at the same step after the same steps has the same bits. At the first step that
 //! the series of an image does not have, its fits are made from there on.
 
-use super::engine::{self, FitState, FitTask, ImageFit, Watch};
+use super::engine::{self, FitState, FitTask, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
@@ -94,13 +94,12 @@ impl ModalFitter {
         frames: &[Frame],
         fits: &mut [ImageFit],
         step: Option<SeriesStep>,
-        watch: &mut Watch,
     ) -> Result<()> {
         let prepare = |frame: Frame, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
             preparer.prepare(frame, task.recipe, Ringing::Accepted, prepared)
         };
         let Some(SeriesStep { series, images, step }) = step else {
-            return engine::fit(chain, task, &|index, by, out| prepare(frames[index], by, out), fits, watch);
+            return engine::fit(chain, task, &|index, by, out| prepare(frames[index], by, out), fits);
         };
         let device = if chain.device_name() == "cpu" { "cpu" } else { "device" };
         let kind = format!("{:?} {device}", chain.precision());
@@ -122,13 +121,13 @@ impl ModalFitter {
                 super::rejection::reject_without_weight(&mut fit.prepared);
             },
         );
-        watch(known.len(), fits.len());
+        task.control.step(known.len());
         if missing.is_empty() {
             return Ok(());
         }
         let mut own: Vec<ImageFit> = missing.iter().map(|&place| fits[place].clone()).collect();
         let prepare_own = |index: usize, by: &mut Preparer, out: &mut _| prepare(frames[missing[index]], by, out);
-        engine::fit(chain, task, &prepare_own, &mut own, &mut |done, _| watch(known.len() + done, fits.len()))?;
+        engine::fit(chain, task, &prepare_own, &mut own)?;
         for (&place, own) in missing.iter().zip(own) {
             if own.is_fitted() {
                 let (minimum, weights) = (own.minimum.clone(), own.prepared.exposure.weight.clone());

@@ -11,9 +11,9 @@ use super::model::Model;
 use super::pointing::Pointing;
 use super::recipe::Recipe;
 use super::tilts::Tilts;
+use crate::control::Control;
 use crate::imaging::CpuChain;
 use crate::modes::Direction;
-use crate::optimize::CancelFlag;
 use crate::scene::{Method, PupilScene, System};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
@@ -228,9 +228,9 @@ impl ModalFitter {
         }
     }
 
-    pub(super) fn task<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> FitTask<'a> {
+    pub(super) fn task<'a>(&'a self, control: &'a Control) -> FitTask<'a> {
         let Self { model, reference, metrics, recipe, .. } = self;
-        FitTask { model, reference, metrics, recipe, cancel, deadline: None }
+        FitTask { model, reference, metrics, recipe, control }
     }
 
     /// Projection of the diversity on the modes of the NCPA.

@@ -70,7 +70,6 @@ pub use combined_modes::CombinedModes;
 pub use cube::Cube;
 pub use diversity_error::{DiversityProjection, SharedError};
 pub(crate) use diversity_error::{ModeProjector, check_reachable, has_diversity};
-pub use engine::Watch;
 pub use estimate::ImageFits;
 pub(crate) use estimate::ModalFit;
 pub(crate) use fit_optics::{OpticsMinimum, OpticsStart, explaining_fit, fit_together};

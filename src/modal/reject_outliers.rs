@@ -45,12 +45,14 @@ impl ModalFitter {
         let Some(finder) = finder.filter(OutlierFinder::can_predict) else { return Ok(cleaned) };
         let find = |&image: &usize| finder.clean(frames[image]).map(|found| (image, found));
         let found: Vec<(usize, CleanedFrame)> = unexplained.par_iter().filter_map(find).collect();
+        let silent = task.control.silent();
+        let task = &FitTask { control: &silent, ..*task };
         let empty = ImageFit::new(&self.model.preparation, self.model.optics.modes());
         let mut again = vec![empty; found.len()];
         let without: Vec<Frame> = found.iter().map(|(image, cleaned)| cleaned.frame(&frames[*image])).collect();
         let images: Vec<usize> = found.iter().map(|(image, _)| *image).collect();
         let step = series.map(|series| SeriesStep { series, images: &images, step: WITHOUT_OUTLIERS });
-        self.fit_frames(chain, task, &without, &mut again, step, &mut |_, _| {})?;
+        self.fit_frames(chain, task, &without, &mut again, step)?;
         for ((image, found), mut again) in found.into_iter().zip(again) {
             again.prepared.taken_out = again.prepared.taken_out.and(found.rejected);
             if fits[image].improve(again) {

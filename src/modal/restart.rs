@@ -48,6 +48,8 @@ impl ModalFitter {
         fits: &mut [ImageFit],
         mut series: Option<&mut FitSeries>,
     ) -> Result<()> {
+        let silent = task.control.silent();
+        let task = &FitTask { control: &silent, ..*task };
         let mut confirmed = vec![0; fits.len()];
         for attempt in 1..=self.recipe.restarts {
             let failed = self.failed(fits, &confirmed);
@@ -68,7 +70,7 @@ impl ModalFitter {
             let mut again: Vec<ImageFit> = failed.iter().map(from).collect();
             let step = series.as_deref_mut();
             let step = step.map(|series| SeriesStep { series, images: &failed, step: WITHOUT_OUTLIERS + attempt });
-            self.fit_frames(chain, task, &failed_frames, &mut again, step, &mut |_, _| {})?;
+            self.fit_frames(chain, task, &failed_frames, &mut again, step)?;
             for (image, mut again) in failed.into_iter().zip(again) {
                 if let Some(cleaned) = &cleaned[image] {
                     again.prepared.taken_out = again.prepared.taken_out.and(cleaned.rejected);

@@ -11,10 +11,9 @@ use super::recipe::Recipe;
 use super::rejection::reject;
 use super::residual::{photometry, reweigh};
 use crate::Result;
+use crate::control::Control;
 use crate::imaging::{Evaluation, Precision};
-use crate::optimize::{
-    CancelFlag, Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings, StopReason,
-};
+use crate::optimize::{Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings, StopReason};
 use crate::scene::Weighting;
 use std::sync::Arc;
 use std::time::Instant;
@@ -189,7 +188,7 @@ impl Runner {
 }
 
 /// Settings of the solver.
-pub(super) fn settings(model: &Model, recipe: &Recipe, precision: Precision, cancel: Option<&CancelFlag>) -> Settings {
+pub(super) fn settings(model: &Model, recipe: &Recipe, precision: Precision, control: &Control) -> Settings {
     Settings {
         max_evaluations: recipe.max_evaluations,
         step_tolerance: recipe.step_tolerance_nm,
@@ -204,7 +203,7 @@ pub(super) fn settings(model: &Model, recipe: &Recipe, precision: Precision, can
             Precision::F64 => RESOLUTION_F64,
         },
         max_step: LARGEST_STEP_WAVES * model.optics.parts().wavelength_nm,
-        cancel: cancel.cloned(),
+        cancel: Some(control.flag().clone()),
         ..Settings::default()
     }
 }

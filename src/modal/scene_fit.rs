@@ -2,14 +2,13 @@
 
 use super::combine::ModalEstimate;
 use super::cube::Cube;
-use super::engine::Watch;
 use super::fit_optics;
 use super::fitter::ModalFitter;
 use super::model_cache::ModelCache;
 use super::recipe::Recipe;
 use crate::Result;
+use crate::control::Control;
 use crate::imaging::Chain;
-use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, System};
 
 /// Opens the chain for a fitter's model.
@@ -23,10 +22,9 @@ pub fn estimate_scene(
     scene: &System,
     cube: Cube,
     open: &mut OpenChain,
-    cancel: Option<&CancelFlag>,
-    watch: &mut Watch,
+    control: &Control,
 ) -> Result<(ModalFitter, ModalEstimate)> {
-    estimate_with(scene, Recipe::with_prior(scene), &ModelCache::default(), cube, open, cancel, watch)
+    estimate_with(scene, Recipe::with_prior(scene), &ModelCache::default(), cube, open, control)
 }
 
 /// Whether `cube` is fitted at its native sampling.
@@ -51,12 +49,12 @@ pub(crate) fn fitter_of(
     recipe: Recipe,
     cache: &ModelCache,
     cube: Cube,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<ModalFitter> {
     if scene.estimate.fit_optics.is_empty() {
         cache.fitter(scene, recipe, is_native(scene, cube))
     } else {
-        fit_optics::estimator(scene, &recipe, cube, is_native(scene, cube), cancel)
+        fit_optics::estimator(scene, &recipe, cube, is_native(scene, cube), control)
     }
 }
 
@@ -72,16 +70,15 @@ pub fn estimate_with(
     cache: &ModelCache,
     cube: Cube,
     open: &mut OpenChain,
-    cancel: Option<&CancelFlag>,
-    watch: &mut Watch,
+    control: &Control,
 ) -> Result<(ModalFitter, ModalEstimate)> {
     let keeps_optics = scene.estimate.fit_optics.is_empty();
     let fitter = if keeps_optics {
         fitter_for(scene, recipe, cache, cube)
     } else {
-        fitter_of(scene, recipe, cache, cube, cancel)
+        fitter_of(scene, recipe, cache, cube, control)
     }?;
     let mut chain = open(&fitter)?;
-    let estimate = fitter.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, cancel, watch)?;
+    let estimate = fitter.estimate(&mut chain, cube, control)?;
     Ok((fitter, estimate))
 }

@@ -21,7 +21,7 @@ use super::combine::combine;
 use super::diversity_error::has_diversity;
 use super::joint::{contradict, joint};
 use super::status::worst;
-use crate::optimize::CancelFlag;
+use crate::control::Control;
 use crate::scene::Weighting;
 use crate::{Error, Result};
 use combiner::{Combiner, FittedChannel};
@@ -48,7 +48,7 @@ pub struct Session {
     channels: Vec<SessionChannel>,
     /// What combines the fits of several channels.
     combiner: Option<Combiner>,
-    cancel: CancelFlag,
+    control: Control,
     results: Vec<GroupResult>,
     /// Number of groups of the last fit.
     fitted: usize,
@@ -68,14 +68,14 @@ impl Session {
         if is_joint {
             check_combination(&fitters)?;
         }
-        let cancel = CancelFlag::default();
+        let control = Control::default();
         let channels = fitters
             .iter()
-            .map(|(name, fitter)| SessionChannel::new(name, fitter.clone(), options, cancel.clone()))
+            .map(|(name, fitter)| SessionChannel::new(name, fitter.clone(), options, control.clone()))
             .collect::<Result<Vec<_>>>()?;
         let combiner = is_joint.then(|| Combiner::new(&fitters)).transpose()?;
         let results = vec![GroupResult::new(fitters.first().model.optics.modes()); options.capacity];
-        Ok(Self { fitters, channels, combiner, cancel, results, fitted: 0 })
+        Ok(Self { fitters, channels, combiner, control, results, fitted: 0 })
     }
 
     /// The fitters of the channels.
@@ -121,7 +121,7 @@ impl Session {
     /// result.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where the cancel flag was raised, which leaves no results; [`Error::Shape`] for more groups
+    /// [`Error::Interrupted`] where [`Session::control`] was cancelled, which leaves no results; [`Error::Shape`] for more groups
     /// than the capacity or a start of another shape, [`Error::Value`] for an option out of range, [`Error::Device`]
     /// where a device fails.
     pub fn fit(&mut self, count: usize, options: &FitOptions) -> Result<()> {
@@ -190,10 +190,9 @@ impl Session {
         })
     }
 
-    /// The flag that cancels the running fit, or else the next: another thread raises it, and the fit that returns
-    /// [`Error::Interrupted`] lowers it.
-    pub fn cancel_flag(&self) -> CancelFlag {
-        self.cancel.clone()
+    /// Cancels the running fit, or else the next, from another thread.
+    pub fn control(&self) -> &Control {
+        &self.control
     }
 
     /// Prepares the frames of a channel in groups 0 to `count` − 1 for [`Session::evaluate`], weighted by the noise of their own pixels.

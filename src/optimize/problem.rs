@@ -1,15 +1,12 @@
 //! The function to minimise, the cancel flag, and checks of points and gradients.
 
+use crate::control::CancelFlag;
 use crate::{Error, Result};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// A function to minimise: returns its value and its gradient at a point. Values that are not finite are allowed; an error
 /// ends the run.
 pub type Objective<'a> = dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)> + 'a;
-
-/// Cancel flag: set it to true to end a run. It is read once per evaluation.
-pub type CancelFlag = Arc<AtomicBool>;
 
 /// Whether there is a flag and it is set.
 pub(crate) fn is_cancelled(flag: Option<&CancelFlag>) -> bool {

@@ -3,7 +3,8 @@
 //! reference for comparisons, not a fast method.
 
 use super::outcome::{Outcome, StopReason};
-use super::problem::{CancelFlag, Objective, check_gradient, check_start, is_cancelled};
+use super::problem::{Objective, check_gradient, check_start, is_cancelled};
+use crate::control::CancelFlag;
 use crate::{Error, Result};
 use argmin::core::{CostFunction, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;

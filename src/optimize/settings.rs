@@ -1,6 +1,6 @@
 //! Settings of the quasi-Newton optimiser: tolerances, limits, and scaling of the model.
 
-use super::problem::CancelFlag;
+use crate::control::CancelFlag;
 use crate::{Error, Result};
 use std::sync::Arc;
 use std::time::Instant;

@@ -6,10 +6,10 @@
 //! depends on whole wavelengths of the image, because its sensor has another wavelength.
 
 use super::consistency::Electrons;
-use super::control::Control;
 use super::modal_task::ModalTask;
 use super::policy::Policy;
-use super::sequence_channel::{SequenceChannel, progress_of};
+use super::sequence_channel::SequenceChannel;
+use crate::control::Control;
 use crate::modal::{ColourEstimate, ModelCache, PistonInteger, pistons_near, resolve_estimates};
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
 use crate::scene::{self, AoKnowledge, Method, Scene, Telemetry};
@@ -85,16 +85,13 @@ impl Colours<'_, '_> {
         let channel = &self.channels[numbers[0]];
         let segments_nm = self.modal_pistons_nm(channel)?;
         let smooth_nm = vec![0.0; self.samples()?.len()];
-        let images = numbers.iter().map(|&number| self.sequences[number].images()).sum();
-        let watch = progress_of(self.control, images);
-        let cancel = Some(self.control.flag());
         let sequences = numbers.iter().map(|&number| self.sequences[number].reborrow()).collect();
-        let mut source = SequenceRetrieval::new(sequences, self.is_simultaneous, self.prior, None, cancel, &watch)?
+        let mut source = SequenceRetrieval::new(sequences, self.is_simultaneous, self.prior, None, self.control)?
             .about(Some(StaticWavefront { segments_nm, smooth_nm }));
         let ao_knowledge = self.settings.ao_knowledge.min(AoKnowledge::Spectrum);
         let tilts = TiltSelection::Never;
         let settings = StaticsSettings { ao_knowledge, tilts, max_iterations: ITERATIONS, ..self.settings.clone() };
-        let last = estimate_static_errors(channel.scene, &mut source, &settings, cancel)?.pop();
+        let last = estimate_static_errors(channel.scene, &mut source, &settings, self.control)?.pop();
         last.ok_or_else(|| Error::Internal("no iteration was made".into()))
     }
 

@@ -2,7 +2,6 @@
 
 use super::budget::ErrorTerm;
 use super::consistency::Electrons;
-use super::control::{Control, Stage};
 use super::estimate::{Estimate, Figure, OpticalParameter};
 use super::explain::explain;
 use super::modal::ExpectedErrors;
@@ -10,6 +9,7 @@ use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{Extension, Selected};
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
+use crate::control::{Control, Stage};
 use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, has_diversity, joint};
 use crate::scene::{Optic, Scene, Sections, Weighting};
 use crate::statistics::median;

@@ -26,13 +26,13 @@ mod turns;
 pub use finding::{CheckedQuantity, Finding, Verdict};
 
 use super::consistency::{Contradiction, Electrons, reconcile};
-use super::control::{Control, Stage};
 use super::cut_out::scene_of_cut_out;
 use super::images::{Images, Trust};
 use super::misfit::{self, TOP};
 use super::modal_task::{Fitted, ModalTask};
 use super::orientation::Poke;
 use super::policy::Policy;
+use crate::control::{Control, Stage};
 use crate::io::Quantity as Card;
 use crate::modal::{FittedImage, ModalEstimate, ModelCache};
 use crate::scene::{Method, ModelChoice, Scene, Telemetry};

@@ -2,7 +2,6 @@
 
 use super::channels::{ChannelImages, named};
 use super::consistency::{Electrons, reconcile};
-use super::control::{Control, Stage};
 use super::cut_out::scene_of_cut_out;
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
@@ -12,6 +11,7 @@ use super::policy::Policy;
 use super::pupil_turns::TurnedImages;
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::{channels, map};
+use crate::control::{Control, Stage};
 use crate::modal::{ModelCache, check_frame_shape};
 use crate::planner;
 use crate::scene::{Method, Scene};
@@ -251,8 +251,7 @@ fn in_order_of<'a>(scene: &Scene, images: &'a [Images]) -> Result<Vec<&'a Images
 /// `scene` with the choices of its plan, and why the plan does not meet its budget.
 fn planned(scene: &Scene, control: &Control) -> Result<(Scene, Option<String>)> {
     let Some(budget_nm) = scene.estimate.budget_nm else { return Ok((scene.clone(), None)) };
-    control.enter(Stage::Planning, 0);
-    let plan = acknowledged(control, planner::plan(scene, budget_nm, Some(control.flag())))?;
+    let plan = acknowledged(control, planner::plan(scene, budget_nm, control))?;
     let shortfall = plan.shortfall();
     Ok((plan.scene, shortfall))
 }

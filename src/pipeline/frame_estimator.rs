@@ -4,7 +4,6 @@
 //! report the same modes, those of the scene, so that estimates of one night can be compared and tracked.
 
 use super::consistency::reconcile;
-use super::control::Control;
 use super::estimate::Estimate;
 use super::estimator::{Estimator, check_size};
 use super::images::Images;
@@ -12,6 +11,7 @@ use super::misfit::saturation;
 use super::modal_errors::{ModalErrors, change_by};
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
+use crate::control::Control;
 use crate::loop_response::Corrections;
 use crate::modal::{FittedImage, ImageStatus, ModalFitter, Session, SessionOptions, Status, check_frame_shape};
 use crate::planner;
@@ -70,7 +70,7 @@ impl FrameEstimator {
     pub fn new(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
         check_for_estimate(scene)?;
-        let scene = planner::resolve(scene, Some(control.flag()))?;
+        let scene = planner::resolve(scene, &control)?;
         // The fitter gives the modes alone where a pipeline fits optical parameters as well.
         let modes_of = scene.system().with(|sections| sections.estimate.fit_optics.clear())?;
         let fitter = Arc::new(ModalFitter::new(&modes_of, false)?);

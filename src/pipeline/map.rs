@@ -3,7 +3,6 @@
 
 use super::budget::ErrorTerm;
 use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
-use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
@@ -11,6 +10,7 @@ use super::sequence::{self, SequenceResult};
 use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{remarks, warnings};
 use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
+use crate::control::{Control, Stage};
 use crate::modal::ImageStatus;
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};

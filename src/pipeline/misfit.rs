@@ -102,9 +102,9 @@ impl Case<'_> {
         let fitting = self.task.scene.system().with(|sections| sections.estimate.fit_optics = vec![Optic::PlateScale]);
         let Ok(scene) = fitting else { return Ok(None) };
         let cube = Cube { images_e, bad, read_noise_e: self.task.images.read_noise_e };
-        let (recipe, flag) = (self.task.policy.recipe(&scene), Some(self.task.control.flag()));
+        let (recipe, control) = (self.task.policy.recipe(&scene), self.task.control);
         let factor = 1.0 + self.fitted_diversity(found).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
-        let fitted = modal::explaining_fit(&scene, &recipe, self.task.cache, cube, factor, flag);
+        let fitted = modal::explaining_fit(&scene, &recipe, self.task.cache, cube, factor, control);
         let (fitter, [own_chi2, fitted_chi2]) = match fitted {
             Ok(Some(found)) => found,
             Err(error @ Error::Interrupted(_)) => return Err(error),

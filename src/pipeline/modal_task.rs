@@ -1,10 +1,10 @@
 //! Modal fits of the images of one channel: by its scene, by an extension of it, and from another start.
 
 use super::consistency::Electrons;
-use super::control::{Control, Stage};
 use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::Result;
+use crate::control::{Control, Stage};
 use crate::imaging::Chain;
 use crate::modal::{self, CombinedModes, Cube, FitSeries, ImageStatus, ModalFit, ModalFitter, ModelCache, Recipe};
 use crate::scene::Scene;
@@ -65,7 +65,7 @@ impl ModalTask<'_> {
         let fitter = modal::fitter_for(self.scene, self.policy.recipe(self.scene), self.cache, self.cube())?;
         let mut chain = self.open(&fitter)?;
         let model_seconds = started.elapsed().as_secs_f64();
-        let found = fitter.estimate_near(&mut chain, self.cube(), others, Some(self.control.flag()))?;
+        let found = fitter.estimate_near(&mut chain, self.cube(), others, &self.control.silent())?;
         self.check()?;
         let scene = self.scene.adopting(fitter.scene())?;
         Ok(Fitted { fit: (fitter, found), scene, selected: None, cause: None, changes: None, model_seconds })
@@ -78,13 +78,8 @@ impl ModalTask<'_> {
     pub(super) fn improve(&self, fitted: &mut Fitted, start_nm: &[f64]) -> Result<bool> {
         let (fitter, before) = &fitted.fit;
         let mut chain = self.open(fitter)?;
-        let again = fitter.estimate_from(
-            &mut chain,
-            self.cube(),
-            (Some(start_nm), None),
-            Some(self.control.flag()),
-            &mut |_, _| {},
-        )?;
+        let control = &self.control.silent();
+        let again = fitter.estimate_from(&mut chain, self.cube(), Some(start_nm), None, control)?;
         self.check()?;
         let (is_better, seconds) = (again.is_better_than(before), before.seconds + again.seconds);
         if is_better {
@@ -116,8 +111,7 @@ impl ModalTask<'_> {
     pub(super) fn fit_by(&self, scene: &Scene, series: Option<&mut FitSeries>) -> Result<ModalFit> {
         let fitter = self.fitter(scene)?;
         let mut chain = self.begin(&fitter, self.images.len())?;
-        let (starts, flag) = ((None, series), Some(self.control.flag()));
-        let found = fitter.estimate_from(&mut chain, self.cube(), starts, flag, &mut |d, a| self.watch(d, a))?;
+        let found = fitter.estimate_from(&mut chain, self.cube(), None, series, self.control)?;
         self.check()?;
         Ok((fitter, found))
     }
@@ -130,15 +124,13 @@ impl ModalTask<'_> {
         self.control.enter(Stage::Preparing, 0);
         let fitter = self.fitter(self.scene)?;
         let mut chain = self.begin(&fitter, which.len())?;
-        let flag = Some(self.control.flag());
-        fitter.fit_series(&mut chain, self.cube(), (which, series), flag, &mut |d, a| self.watch(d, a))?;
+        fitter.fit_series(&mut chain, self.cube(), which, series, self.control)?;
         self.check()
     }
 
     /// The fitter of all images by `scene`.
     fn fitter(&self, scene: &Scene) -> Result<ModalFitter> {
-        let (recipe, flag) = (self.policy.recipe(scene), Some(self.control.flag()));
-        modal::fitter_of(scene, recipe, self.cache, self.cube(), flag)
+        modal::fitter_of(scene, self.policy.recipe(scene), self.cache, self.cube(), self.control)
     }
 
     /// The chain for fits of `count` images, which begin now.
@@ -149,13 +141,6 @@ impl ModalTask<'_> {
         self.open(fitter)
     }
 
-    fn watch(&self, done: usize, all: usize) {
-        self.control.advance_to(done);
-        if done == all {
-            self.control.enter(Stage::Combining, 0);
-        }
-    }
-
     /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene fits would not lower χ² enough in a
     /// first step.
     pub(super) fn fit_one(&self, scene: &Scene, image: usize) -> Result<Option<ModalFit>> {
@@ -163,19 +148,18 @@ impl ModalTask<'_> {
         let only = ndarray::s![image..=image, .., ..];
         let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
         // A model that explains the image does so at its first minimum; restarts of the others would take most of the time.
-        let (recipe, flag) = (Recipe { restarts: 0, ..self.policy.recipe(scene) }, Some(self.control.flag()));
+        let (recipe, control) = (Recipe { restarts: 0, ..self.policy.recipe(scene) }, &self.control.silent());
         let mut open = |fitter: &ModalFitter| {
             let optics = fitter.model().optics.clone();
             Chain::open_shared(optics, scene.estimate.device.into(), scene.estimate.precision().into(), 1)
         };
         if scene.estimate.fit_optics.is_empty() {
-            return modal::estimate_with(scene, recipe, self.cache, cube, &mut open, flag, &mut |_, _| {}).map(Some);
+            return modal::estimate_with(scene, recipe, self.cache, cube, &mut open, control).map(Some);
         }
-        let explaining = modal::explaining_fit(scene, &recipe, self.cache, cube, 1.0, flag)?;
+        let explaining = modal::explaining_fit(scene, &recipe, self.cache, cube, 1.0, control)?;
         let Some((fitter, _)) = explaining else { return Ok(None) };
         let mut chain = open(&fitter)?;
-        let Cube { images_e, bad, read_noise_e } = cube;
-        let found = fitter.estimate(&mut chain, images_e, bad, read_noise_e, flag, &mut |_, _| {})?;
+        let found = fitter.estimate(&mut chain, cube, control)?;
         Ok(Some((fitter, found)))
     }
 }

@@ -8,8 +8,8 @@
 //! Only an image that the scene's model does not explain is tried, so that others pay nothing. An extension is adopted where it
 //! leaves almost nothing of the residual: the wrong modes do not.
 
-use super::control::Control;
 use super::policy::Policy;
+use crate::control::Control;
 use crate::modal::{ImageStatus, ModalEstimate, ModalFitter};
 use crate::scene::{ModelChoice, NcpaBasis, NollRange, Optic, Optimizer, Scene, Sections, SegmentModes};
 use crate::{Error, Result};

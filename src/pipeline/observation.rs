@@ -10,11 +10,10 @@ use super::estimate::Estimate;
 use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
-use crate::optimize::CancelFlag;
+use crate::control::{Control, Stage};
 use crate::scene::{Method, Optic, Parameter, Scene};
 use crate::{Error, Result, source};
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
 /// Defocuses that are tried, waves RMS over the pupil. For Keck at one number of electrons, error bars from 0.5 to 2 are within a fifth of
 /// each other; at 3 the light spreads beyond what 120 samples of the pupil hold.
@@ -84,18 +83,17 @@ impl ObservationPlan {
 }
 
 /// Plans the observation of an artificial source: of the telescope, star and camera of `scene`, through filters of `wavelengths_nm`
-/// (those of the scene's channels where there are none), so that phasing and NCPA are each known to `budget_nm`. `watch` is called
-/// with the number of candidates that are done, and their number.
+/// (those of the scene's channels where there are none), so that phasing and NCPA are each known to `budget_nm`. A candidate is a step of
+/// the progress.
 ///
 /// # Errors
 /// [`Error::Value`] for a budget or a wavelength that is not positive, [`Error::Scene`] for a scene with an AO loop or with a diversity
-/// from a file, [`Error::Interrupted`] where `cancel` was raised, and those of the estimator.
+/// from a file, [`Error::Interrupted`] where `control` was cancelled, and those of the estimator.
 pub fn plan_observation(
     scene: &Scene,
     wavelengths_nm: &[f64],
     budget_nm: f64,
-    cancel: Option<&CancelFlag>,
-    watch: &mut dyn FnMut(usize, usize),
+    control: &Control,
 ) -> Result<ObservationPlan> {
     if !(budget_nm.is_finite() && budget_nm > 0.0) {
         return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
@@ -106,15 +104,13 @@ pub fn plan_observation(
     let base = Base::new(scene)?;
     let given = if wavelengths_nm.is_empty() { &base.wavelengths_nm } else { wavelengths_nm };
     let candidates = candidates(given);
+    control.enter(Stage::Planning, candidates.len());
     let mut observations = Vec::new();
-    for (done, channels) in candidates.iter().enumerate() {
-        if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            return Err(Error::Interrupted("no observation was planned".into()));
-        }
-        watch(done, candidates.len());
-        observations.push(base.observation(channels, budget_nm)?);
+    for channels in &candidates {
+        control.check("no observation was planned")?;
+        observations.push(base.observation(channels, budget_nm, &control.silent())?);
+        control.step(1);
     }
-    watch(candidates.len(), candidates.len());
     let error_nm = |observation: &Observation| observation.expected_nm[0].max(observation.expected_nm[1]);
     observations.sort_by(|a, b| {
         let rank = |one: &Observation| (!one.is_recommended(), one.flaw.is_some(), one.total_exposures());
@@ -204,13 +200,13 @@ impl Base {
         Scene::from_text(&text, first.directory())
     }
 
-    fn observation(&self, channels: &[(f64, f64)], budget_nm: f64) -> Result<Observation> {
+    fn observation(&self, channels: &[(f64, f64)], budget_nm: f64, control: &Control) -> Result<Observation> {
         let scene = self.scene_of(channels)?;
         let images = Images::simulated_channels(&scene)?;
         let peak_e = images.iter().flat_map(|images| &images.images_e).copied().fold(0.0, f64::max);
         // A larger model is no remedy for a defocus that is too small.
         let policy = Policy { select_model: false, ..Policy::default() };
-        let estimator = Estimator::with_policy(&scene, policy, super::Control::default())?;
+        let estimator = Estimator::with_policy(&scene, policy, control.clone())?;
         let (squares, flaw) = match estimator.estimate(&images) {
             Ok(found) => (split(&found.error_budget), flaw(&found)),
             // A star whose light fills the frame, for one.

@@ -12,11 +12,11 @@ mod tests;
 
 pub use candidates::{MovedPart, OrientationCandidate, Poke};
 
-use super::control::Control;
 use super::estimate::Estimate;
 use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
+use crate::control::Control;
 use crate::modal::ImageStatus;
 use crate::pupil::Pupil;
 use crate::scene::Scene;

@@ -3,7 +3,7 @@
 
 use super::absolute_pistons::{AbsolutePistons, Colours};
 use super::policy::Policy;
-use super::sequence_channel::{Sequence, SequenceChannel, progress_of};
+use super::sequence_channel::{Sequence, SequenceChannel};
 use super::telemetry::{self, TelemetryCheck};
 use crate::ao::{Lenslets, sensor_pupil};
 use crate::modal::{CleanedImages, Cube, PistonInteger, RejectedPixels, are_determined};
@@ -187,9 +187,8 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let cubes: Vec<Cube> = channels.iter().zip(&cleaned).map(|(channel, cleaned)| channel.cube(cleaned)).collect();
     let has_known_turbulence = ao_knowledge > AoKnowledge::Nothing;
     let retrieval = RetrievalSettings { has_known_turbulence, ..retrieval_settings(scene, sequence.exposures()) };
-    let cancel = Some(control.flag());
     let (optics, static_scene) = optics_with_sensor(scene, used_slopes_mas, || match &cubes[..] {
-        [only] => estimate_optics(scene, &prior, &retrieval, *only, cancel),
+        [only] => estimate_optics(scene, &prior, &retrieval, *only, control),
         // Channels could be explained by different optics, of which no wavefront is common to all.
         _ => RetrievedOptics::of(scene),
     })?;
@@ -205,12 +204,10 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let (start, integers) = absolute_pistons(sequence, &sequences, &prior, &settings)?
         .map(|found| (found.wavefront, found.integers))
         .unzip();
-    let watch = progress_of(control, sequence.images());
     let slopes_of_exposures = used_slopes_mas.cloned();
-    let mut source =
-        SequenceRetrieval::new(sequences, sequence.is_simultaneous, &prior, slopes_of_exposures, cancel, &watch)?
-            .about(start)
-            .with_moved_reference(sequence.moved_reference_mas.cloned());
+    let mut source = SequenceRetrieval::new(sequences, sequence.is_simultaneous, &prior, slopes_of_exposures, control)?
+        .about(start)
+        .with_moved_reference(sequence.moved_reference_mas.cloned());
     // The first iteration's wavefronts are retrieved without the slopes.
     let telemetry = match used_slopes_mas {
         Some(slopes_mas) => {
@@ -222,7 +219,7 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     if let Some(check) = telemetry.as_ref().filter(|check| check.divided_by != 1.0) {
         source.divide_slopes(check.divided_by);
     }
-    let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
+    let iterations = estimate_static_errors(&static_scene, &mut source, &settings, control)?;
     let static_scene = match iterations.last() {
         Some(last) if last.has_tilts() => with_segment_modes(&static_scene, SegmentModes::PistonTipTilt)?,
         _ => static_scene,

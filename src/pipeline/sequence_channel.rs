@@ -1,12 +1,11 @@
 //! What a sequence is estimated from: the images of its channels.
 
 use super::consistency::Electrons;
-use super::control::{Control, Stage};
 use super::policy::Policy;
 use crate::Result;
+use crate::control::Control;
 use crate::modal::{CleanedImages, Cube, reject_outliers};
 use crate::scene::Scene;
-use crate::statics::SequenceProgress;
 use ndarray::{Array1, Array2};
 
 /// Images of one channel behind adaptive optics.
@@ -55,14 +54,5 @@ impl Sequence<'_> {
     /// Number of exposures: of images, or of sets of simultaneous ones.
     pub(super) fn exposures(&self) -> usize {
         if self.is_simultaneous { self.channels[0].images.len() } else { self.images() }
-    }
-}
-
-/// Reports the progress of retrieving `images` images to `control`.
-pub(super) fn progress_of(control: &Control, images: usize) -> impl Fn(SequenceProgress) + Sync {
-    move |progress| match progress {
-        SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images),
-        SequenceProgress::Retrieved(done) => control.advance_to(done),
-        SequenceProgress::Separating => control.enter(Stage::Separating, 0),
     }
 }

@@ -9,8 +9,8 @@
 use super::plan::{Choice, FoundPlan};
 use super::search::Search;
 use super::trial::{joint_price, recipe};
+use crate::control::Control;
 use crate::modal::{ModalFitter, has_diversity};
-use crate::optimize::CancelFlag;
 use crate::scene::{Crop, Precision, System};
 use crate::{Error, Result};
 
@@ -19,16 +19,16 @@ use crate::{Error, Result};
 const PISTONS: f64 = 0.05;
 
 /// As [`super::plan`], for a `scene` with channels.
-pub(super) fn plan(scene: &System, budget_nm: f64, cancel: Option<&CancelFlag>) -> Result<FoundPlan> {
+pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<FoundPlan> {
     refuse_focus(scene)?;
     let drawn = scene.channels().iter().map(|channel| with_small_pistons(scene, &channel.system));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
-    let searches = drawn.iter().map(|own| Search::new(own, budget_nm, cancel));
+    let searches = drawn.iter().map(|own| Search::new(own, budget_nm, control));
     let mut searches = searches.collect::<Result<Vec<_>>>()?;
     let references = searches.iter().map(Search::reference).collect::<Result<Vec<_>>>()?;
     let pairs: Vec<_> =
         references.iter().zip(&searches).map(|(one, search)| (&one.estimator, &search.trials)).collect();
-    let reference = joint_price(scene, &pairs, cancel)?;
+    let reference = joint_price(scene, &pairs, control)?;
     let mut plans = Vec::with_capacity(searches.len());
     for (search, own) in searches.iter_mut().zip(&references) {
         let share = [0, 1].map(|part| reference.noise_nm[part] / own.price.noise_nm[part]);
@@ -43,7 +43,7 @@ pub(super) fn plan(scene: &System, budget_nm: f64, cancel: Option<&CancelFlag>) 
     });
     let fitters: Vec<ModalFitter> = fitters.collect::<Result<_>>()?;
     let pairs: Vec<_> = fitters.iter().zip(&searches).map(|(fitter, search)| (fitter, &search.trials)).collect();
-    let chosen = joint_price(scene, &pairs, cancel)?;
+    let chosen = joint_price(scene, &pairs, control)?;
     let (mut choices, mut omissions) = (Vec::new(), Vec::new());
     for (channel, plan) in scene.channels().iter().zip(plans) {
         let name = Some(channel.name.clone());

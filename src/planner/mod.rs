@@ -20,7 +20,7 @@ pub use omission::Omission;
 pub use plan::{Choice, Plan};
 pub use price::Price;
 
-use crate::optimize::CancelFlag;
+use crate::control::{Control, Stage};
 use crate::scene::Scene;
 use crate::{Error, Result};
 
@@ -30,17 +30,20 @@ use crate::{Error, Result};
 ///
 /// # Errors
 /// [`Error::Value`] for a budget that is not positive, [`Error::Scene`] for a scene whose images cannot be simulated or
-/// whose recipe is the paper's, [`Error::Interrupted`] where `cancel` was raised, and those of the estimator.
-pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Result<Plan> {
+/// whose recipe is the paper's, [`Error::Interrupted`] where `control` was cancelled, and those of the estimator.
+pub fn plan(scene: &Scene, budget_nm: f64, control: &Control) -> Result<Plan> {
     if !(budget_nm.is_finite() && budget_nm > 0.0) {
         return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
     }
+    control.enter(Stage::Planning, 0);
+    // The fits of a trial are no steps of the plan.
+    let control = &control.silent();
     // The plan has no budget: a scene with one would be planned again.
     let given = scene.changed(|sections| sections.estimate.budget_nm = None)?;
     let found = if given.channels().is_empty() {
-        search::Search::new(&given, budget_nm, cancel)?.run()?
+        search::Search::new(&given, budget_nm, control)?.run()?
     } else {
-        channels::plan(&given, budget_nm, cancel)?
+        channels::plan(&given, budget_nm, control)?
     };
     Plan::new(&given, budget_nm, found)
 }
@@ -49,9 +52,9 @@ pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Resul
 ///
 /// # Errors
 /// As [`plan`].
-pub fn resolve(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Scene> {
+pub fn resolve(scene: &Scene, control: &Control) -> Result<Scene> {
     match scene.estimate.budget_nm {
-        Some(budget_nm) => Ok(plan(scene, budget_nm, cancel)?.scene),
+        Some(budget_nm) => Ok(plan(scene, budget_nm, control)?.scene),
         None => Ok(scene.clone()),
     }
 }

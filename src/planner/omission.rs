@@ -3,8 +3,8 @@
 use super::price::Price;
 use super::trial::{Trials, recipe};
 use crate::Result;
+use crate::control::Control;
 use crate::modal::ModalFitter;
-use crate::optimize::CancelFlag;
 use crate::scene::{Sections, System};
 use crate::telescope::Filter;
 
@@ -32,7 +32,7 @@ pub(super) fn omissions(
     like: &ModalFitter,
     chosen: Price,
     trials: &Trials,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<Vec<Omission>> {
     let mut omissions = Vec::new();
     let own = chosen.error_nm();
@@ -42,7 +42,7 @@ pub(super) fn omissions(
         let modelled = !like.model().optics.has_one_wavelength();
         let other = planned.with(|sections| sections.estimate.wavelengths = modelled.then_some(1))?;
         let model = like.variant(&other, recipe(&other))?;
-        let other_nm = trials.price(&model, cancel)?.error_nm();
+        let other_nm = trials.price(&model, control)?.error_nm();
         let [with_nm, without_nm] = if modelled { [own, other_nm] } else { [other_nm, own] };
         let broad = if modelled { like.model() } else { model.model() };
         let times = broad.optics.parts().colours.len();
@@ -59,7 +59,7 @@ pub(super) fn omissions(
     }
     let mut alternative = |what, without: fn(&mut Sections), because: String| -> Result<()> {
         let scene = planned.with(without)?;
-        let price = trials.price(&like.variant(&scene, recipe(&scene))?, cancel)?;
+        let price = trials.price(&like.variant(&scene, recipe(&scene))?, control)?;
         omissions.push(Omission {
             channel: None,
             what,

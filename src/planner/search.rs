@@ -4,8 +4,8 @@ use super::omission::omissions;
 use super::plan::{Choice, FoundPlan};
 use super::price::{Limit, Price};
 use super::trial::{Trials, recipe};
+use crate::control::Control;
 use crate::modal::ModalFitter;
-use crate::optimize::CancelFlag;
 use crate::scene::{Crop, NcpaBasis, Optimizer, Precision, PupilModel, System};
 use crate::{Error, Result};
 
@@ -41,13 +41,13 @@ pub(super) struct Candidate {
 pub(super) struct Search<'a> {
     given: &'a System,
     budget_nm: f64,
-    cancel: Option<&'a CancelFlag>,
+    control: &'a Control,
     pub(super) trials: Trials,
     choices: Vec<Choice>,
 }
 
 impl<'a> Search<'a> {
-    pub(super) fn new(scene: &'a System, budget_nm: f64, cancel: Option<&'a CancelFlag>) -> Result<Self> {
+    pub(super) fn new(scene: &'a System, budget_nm: f64, control: &'a Control) -> Result<Self> {
         if scene.estimate.optimizer != Optimizer::GaussNewton {
             return Err(Error::Scene(
                 "an error budget needs estimate.optimizer = \"gauss-newton\": the error of the paper's method does not depend \
@@ -55,7 +55,7 @@ impl<'a> Search<'a> {
                     .into(),
             ));
         }
-        Ok(Self { given: scene, budget_nm, cancel, trials: Trials::new(scene, cancel)?, choices: Vec::new() })
+        Ok(Self { given: scene, budget_nm, control, trials: Trials::new(scene, control)?, choices: Vec::new() })
     }
 
     pub(super) fn run(&mut self) -> Result<FoundPlan> {
@@ -68,7 +68,7 @@ impl<'a> Search<'a> {
         best = self.single_precision(best, limit)?;
         best = self.stopped_early(best, limit)?;
         self.price_half_the_modes(&best)?;
-        let omissions = omissions(self.given, &best.scene, &best.estimator, best.price, &self.trials, self.cancel)?;
+        let omissions = omissions(self.given, &best.scene, &best.estimator, best.price, &self.trials, self.control)?;
         Ok(FoundPlan {
             system: best.scene,
             reference,
@@ -88,7 +88,7 @@ impl<'a> Search<'a> {
     pub(super) fn reference(&self) -> Result<Candidate> {
         let scene = self.given.with(|sections| sections.estimate.precision = Some(Precision::F64))?;
         let estimator = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
-        let price = self.trials.price(&estimator, self.cancel)?;
+        let price = self.trials.price(&estimator, self.control)?;
         Ok(Candidate { scene, estimator, price })
     }
 
@@ -234,7 +234,7 @@ impl<'a> Search<'a> {
 
     fn candidate(&self, like: &ModalFitter, scene: &System) -> Result<Candidate> {
         let estimator = like.variant(scene, recipe(scene))?;
-        let price = self.trials.price(&estimator, self.cancel)?;
+        let price = self.trials.price(&estimator, self.control)?;
         Ok(Candidate { scene: scene.clone(), estimator, price })
     }
 

@@ -1,11 +1,11 @@
 //! Trials: wavefronts of a scene, imaged without noise, and the error with which a model estimates them.
 
 use super::price::Price;
+use crate::control::Control;
 use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
 use crate::modal::{CombinedModes, Cube, ModalFitter, Recipe, combine_estimates};
 use crate::modes::Group;
-use crate::optimize::CancelFlag;
 use crate::scene::{AberrationScene, NcpaBasis, NollRange, SegmentModes, System};
 use crate::source::{self, Camera, Truth};
 use crate::telescope::Telescope;
@@ -59,7 +59,7 @@ pub(super) struct Trial {
 
 impl Trials {
     /// Draws and images wavefronts of `scene`.
-    pub(super) fn new(scene: &System, cancel: Option<&CancelFlag>) -> Result<Self> {
+    pub(super) fn new(scene: &System, control: &Control) -> Result<Self> {
         let scene = &if scene.aberrations.is_some() { scene.clone() } else { with_assumed_aberrations(scene)? };
         let telescope = Telescope::new(scene)?;
         let camera = Camera::new(scene, &telescope)?;
@@ -68,7 +68,7 @@ impl Trials {
         rng.set_stream(STREAM);
         let truths = (0..DRAWS).map(|_| Truth::draw(scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;
         let psf = |truth: &Truth| -> Result<(Array2<f64>, f64)> {
-            check_cancelled(cancel)?;
+            control.check("nothing was planned")?;
             let (rows, columns) = scene.image.fitted_shape();
             let psf = camera.psf(truth)?.slice_move(s![..rows, ..columns]);
             let flux_e = source::flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
@@ -88,21 +88,21 @@ impl Trials {
     }
 
     /// Cost of `estimator` on these wavefronts.
-    pub(super) fn price(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Price> {
-        Ok(self.run(estimator, cancel)?.price)
+    pub(super) fn price(&self, estimator: &ModalFitter, control: &Control) -> Result<Price> {
+        Ok(self.run(estimator, control)?.price)
     }
 
     /// Estimates these wavefronts by the model of `estimator`.
-    pub(super) fn run(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Trial> {
-        check_cancelled(cancel)?;
+    pub(super) fn run(&self, estimator: &ModalFitter, control: &Control) -> Result<Trial> {
+        control.check("nothing was planned")?;
         let (model, scene) = (estimator.model(), estimator.scene());
         let precision = scene.estimate.precision().into();
         let mut chain = Chain::cpu(model.optics.clone(), precision);
         let cube = Cube { images_e: self.frames_e.view(), bad: self.bad.view(), read_noise_e: None };
-        let found = estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
+        let found = estimator.fit_each(&mut chain, cube, control)?;
         // Once more for the time: the first fit also computes the metrics.
         let began = Instant::now();
-        estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
+        estimator.fit_each(&mut chain, cube, control)?;
         let estimate_us = 1e6 * began.elapsed().as_secs_f64() / DRAWS as f64;
         let misfit = found.reports.iter().map(|report| report.reduced_chi2 / (report.expected_chi2 - 1.0));
         let evaluations = found.reports.iter().map(|report| report.evaluations as f64).sum::<f64>() / DRAWS as f64;
@@ -148,12 +148,8 @@ impl Trials {
 
 /// Cost of the models of several channels of `scene`, each on its own images of the same wavefronts, combined: work and time are those of
 /// all.
-pub(super) fn joint_price(
-    scene: &System,
-    channels: &[(&ModalFitter, &Trials)],
-    cancel: Option<&CancelFlag>,
-) -> Result<Price> {
-    let each = channels.iter().map(|(fitter, trials)| trials.run(fitter, cancel)).collect::<Result<Vec<_>>>()?;
+pub(super) fn joint_price(scene: &System, channels: &[(&ModalFitter, &Trials)], control: &Control) -> Result<Price> {
+    let each = channels.iter().map(|(fitter, trials)| trials.run(fitter, control)).collect::<Result<Vec<_>>>()?;
     let Some((first, trials)) = channels.first() else { return Err(Error::Internal("there is no channel".into())) };
     let covariances: Option<Vec<&Array2<f64>>> = each.iter().map(|trial| trial.covariance_nm2.as_ref()).collect();
     let mut coefficients_nm = Array2::from_elem((DRAWS, first.model().optics.modes()), f64::NAN);
@@ -224,15 +220,6 @@ fn errors_nm(estimator: &ModalFitter, truth: &Truth, coefficients_nm: &[f64]) ->
     let residual =
         |group, truth: &Array2<f64>| residual_nm(pupil, model.map_nm(coefficients_nm, group).view(), truth.view());
     Ok([residual(Group::Segment, &phasing_nm)?, residual(Group::Ncpa, &ncpa_nm)?])
-}
-
-/// # Errors
-/// [`Error::Interrupted`] where the flag is raised.
-fn check_cancelled(cancel: Option<&CancelFlag>) -> Result<()> {
-    if cancel.is_some_and(|flag| flag.load(std::sync::atomic::Ordering::Relaxed)) {
-        return Err(Error::Interrupted("nothing was planned".into()));
-    }
-    Ok(())
 }
 
 #[cfg(test)]

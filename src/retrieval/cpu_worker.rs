@@ -29,8 +29,7 @@ impl<T: Polynomial> Workspace<T> {
             optimisation.place(model, &mut buffers.preconditioner);
             let ThreadBuffers { preconditioner, scratch, turns_bar, loaded, evaluation } = &mut buffers;
             optimisation.set_amplitudes(scratch);
-            let (at, turns) = (optimisation.coefficients_nm(), optimisation.turns());
-            model.chain.evaluate_free(loaded, at, turns, scratch, evaluation, turns_bar);
+            model.chain.evaluate_free(loaded, optimisation.wavefront(), scratch, evaluation, turns_bar);
             let amplitude_gradient = |gradient: &mut [f64]| model.chain.amplitude_gradient(scratch, gradient);
             let progress = optimisation.advance(model, evaluation, turns_bar, amplitude_gradient, preconditioner)?;
             if progress == Progress::Done {

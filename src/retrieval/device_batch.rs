@@ -207,8 +207,9 @@ impl<'a, T: Polynomial> Lockstep<'a, T> {
         lanes.for_each(|((lane, mut coefficients_nm), turns)| {
             let mut buffers = workspace.take_buffers();
             lane.optimisation.place(&workspace.model, &mut buffers.preconditioner);
-            coefficients_nm.assign(&lane.optimisation.coefficients_nm());
-            turns.iter_mut().zip(lane.optimisation.turns()).for_each(|(out, turns)| *out = turns.widen());
+            let at = lane.optimisation.wavefront();
+            coefficients_nm.assign(&at.coefficients_nm);
+            turns.iter_mut().zip(at.turns).for_each(|(out, turns)| *out = turns.widen());
             workspace.buffers.put_back(buffers);
         });
     }

@@ -52,17 +52,12 @@ impl<T: Polynomial> Engine<T> {
         batch.as_ref().map_or_else(|| ("cpu".into(), None), describe)
     }
 
-    /// Retrieves all images into `wavefronts`; `watch` is given the number of finished images.
+    /// Retrieves all images into `wavefronts`; each is a step of the progress.
     ///
     /// # Errors
     /// [`Error::Device`](crate::Error::Device), [`Error::Interrupted`](crate::Error::Interrupted), those of preparing.
-    pub(super) fn retrieve(
-        &self,
-        task: &RetrievalTask,
-        wavefronts: &mut RetrievedWavefronts,
-        watch: &(dyn Fn(usize) + Sync),
-    ) -> Result<()> {
-        if self.on_device && self.retrieve_on_device(task, wavefronts, watch)? {
+    pub(super) fn retrieve(&self, task: &RetrievalTask, wavefronts: &mut RetrievedWavefronts) -> Result<()> {
+        if self.on_device && self.retrieve_on_device(task, wavefronts)? {
             return Ok(());
         }
         let done = AtomicUsize::new(0);
@@ -75,25 +70,19 @@ impl<T: Polynomial> Engine<T> {
                 Err(refusal) => Err(refusal),
             };
             out.store(result);
-            watch(done.fetch_add(1, Ordering::Relaxed) + 1);
+            done.fetch_add(1, Ordering::Relaxed);
+            task.control.step(1);
             Ok(())
         })
     }
 
     /// As [`Engine::retrieve`]; `false`, with nothing done, where no device computes any more.
-    fn retrieve_on_device(
-        &self,
-        task: &RetrievalTask,
-        wavefronts: &mut RetrievedWavefronts,
-        watch: &(dyn Fn(usize) + Sync),
-    ) -> Result<bool> {
+    fn retrieve_on_device(&self, task: &RetrievalTask, wavefronts: &mut RetrievedWavefronts) -> Result<bool> {
         let mut batch = self.batch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let mut done = 0;
         // The images of a batch end in any order.
         DeviceBatch::retrieve(&mut batch, &self.workspace, task, &mut |image, result| {
             wavefronts.store(image, result);
-            done += 1;
-            watch(done);
+            task.control.step(1);
         })
     }
 }

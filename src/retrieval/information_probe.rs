@@ -4,7 +4,7 @@
 use super::preconditioner::SpectralPreconditioner;
 use super::prior::RadialPsd;
 use crate::Result;
-use crate::imaging::{CpuChain, Exposure, Optics, Photometry, Polynomial};
+use crate::imaging::{CpuChain, Exposure, FreeWavefront, Optics, Photometry, Polynomial};
 use ndarray::Array1;
 use std::f64::consts::TAU;
 
@@ -46,7 +46,7 @@ pub(super) fn probe_response<T: Polynomial>(
     let (mut scratch, mut evaluation, mut loaded) = (chain.scratch(), chain.evaluation(), chain.empty_image());
     let drawn = preconditioner.draw(prior, 1.0 / optics.parts().wavelength_nm, 0);
     let photometry = Photometry::Fixed { flux_e: typical.flux_e, background_e: typical.background_e };
-    let psf = chain.psf_free_in(zero.view(), &drawn, &mut scratch);
+    let psf = chain.psf_free_in(FreeWavefront { coefficients_nm: zero.view(), turns: &drawn }, &mut scratch);
     let data_e: Vec<f64> = psf.iter().map(|h| typical.flux_e * h.widen() + typical.background_e).collect();
     let weight: Vec<f64> =
         data_e.iter().map(|&e| 1.0 / variance_e2(e, typical.pixel_variance_e2, model_error)).collect();
@@ -59,7 +59,8 @@ pub(super) fn probe_response<T: Polynomial>(
         for ((turns, &drawn), &step) in turns.iter_mut().zip(&drawn).zip(step) {
             *turns = drawn + step * T::narrow(PROBE_TURNS);
         }
-        chain.evaluate_free(&loaded, zero.view(), &turns, &mut scratch, &mut evaluation, product);
+        let at = FreeWavefront { coefficients_nm: zero.view(), turns: &turns };
+        chain.evaluate_free(&loaded, at, &mut scratch, &mut evaluation, product);
         product.iter_mut().for_each(|value| *value *= scale);
     });
     Ok(())

@@ -13,9 +13,9 @@ use super::optics_parameter::SearchedParameter;
 use super::prior::RadialPsd;
 use super::retriever::Retriever;
 use super::settings::RetrievalSettings;
+use crate::control::Control;
 use crate::imaging::Choice;
 use crate::modal::Cube;
-use crate::optimize::CancelFlag;
 use crate::scene::{Parameter, ParameterKind, System};
 use crate::statistics::upper_median;
 use crate::telescope::Telescope;
@@ -102,7 +102,7 @@ struct OpticsSearch<'a> {
     read_noise_e: Option<f64>,
     prior: &'a RadialPsd,
     settings: &'a RetrievalSettings,
-    cancel: Option<&'a CancelFlag>,
+    control: Control,
 }
 
 impl OpticsSearch<'_> {
@@ -139,7 +139,7 @@ impl OpticsSearch<'_> {
         };
         let retriever = Retriever::new(&optics.scene, telescope, self.prior, settings)?;
         let cube = Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e };
-        let mut wavefronts = retriever.retrieve_from(starts, cube, self.cancel)?;
+        let mut wavefronts = retriever.retrieve_from(starts, cube, &self.control)?;
         let unusable = || Error::Image("no image can be used".into());
         let reports = &wavefronts.reports;
         Ok(OpticsMerit {
@@ -236,12 +236,13 @@ pub(crate) fn estimate_optics(
     prior: &RadialPsd,
     settings: &RetrievalSettings,
     cube: Cube,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<RetrievedOptics> {
     let count = cube.images_e.dim().0;
     let chosen: Vec<usize> = (0..SEARCH_IMAGES.min(count)).map(|i| i * count / SEARCH_IMAGES.min(count)).collect();
     let (images_e, bad) = (cube.images_e.select(Axis(0), &chosen), cube.bad.select(Axis(0), &chosen));
-    let search = OpticsSearch { images_e, bad, read_noise_e: cube.read_noise_e, prior, settings, cancel };
+    let search =
+        OpticsSearch { images_e, bad, read_noise_e: cube.read_noise_e, prior, settings, control: control.silent() };
     let mut optics = TrialOptics { scene: scene.clone(), amplitudes: Vec::new() };
     let mut merit = match search.evaluate(&optics, 0.0) {
         // The retrieval of all images reports why they are unusable.
@@ -297,7 +298,7 @@ mod tests {
             crate::retrieval::StaticAberrationRms { piston_rms_nm: 0.0, ncpa_rms_nm: 40.0 },
         )
         .unwrap();
-        estimate_optics(&read, &psd, &settings, images, None).unwrap()
+        estimate_optics(&read, &psd, &settings, images, &Control::default()).unwrap()
     }
 
     /// The key and the estimate of the only number that differs.

@@ -15,7 +15,7 @@ use super::results::{RetrievalReport, RetrievedImage};
 use super::segment_amplitudes::SegmentAmplitudes;
 use super::task::KnownOfImage;
 use crate::Result;
-use crate::imaging::{Evaluation, Polynomial, Scratch};
+use crate::imaging::{Evaluation, FreeWavefront, Polynomial, Scratch};
 use crate::modal::{PreparedFrame, photometry};
 use crate::optimize::{Progress, QuasiNewton};
 use ndarray::{Array1, ArrayView1};
@@ -153,14 +153,9 @@ impl<T: Polynomial> MapOptimisation<T> {
         self.amplitudes.place(&u[model.free.len()..]);
     }
 
-    /// Coefficients at the point, nm.
-    pub(super) fn coefficients_nm(&self) -> ArrayView1<'_, f64> {
-        self.coefficients_nm.view()
-    }
-
-    /// Free phase at the point, turns.
-    pub(super) fn turns(&self) -> &[T] {
-        &self.turns
+    /// The wavefront at the point.
+    pub(super) fn wavefront(&self) -> FreeWavefront<'_, T> {
+        FreeWavefront { coefficients_nm: self.coefficients_nm.view(), turns: &self.turns }
     }
 
     /// Sets the segments' amplitudes at the point in `scratch`, where they vary.
@@ -208,7 +203,7 @@ impl<T: Polynomial> MapOptimisation<T> {
     ) -> RetrievedImage {
         self.place_at(Point::Best, model, preconditioner_scratch);
         self.set_amplitudes(scratch);
-        let psf = model.chain.psf_free_in(self.coefficients_nm.view(), &self.turns, scratch);
+        let psf = model.chain.psf_free_in(self.wavefront(), scratch);
         let psf: Vec<f64> = psf.iter().map(|h| h.widen()).collect();
         let (flux_e, background_e) = photometry(&prepared.exposure, &psf);
         let mut chi2 = 0.0;

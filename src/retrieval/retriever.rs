@@ -21,10 +21,10 @@ use super::sampling::{highest_frequency_per_m, with_common_sampling, with_retrie
 use super::settings::RetrievalSettings;
 use super::static_wavefront::StaticWavefront;
 use super::task::RetrievalTask;
+use crate::control::Control;
 use crate::imaging::{CpuChain, Precision};
 use crate::machine;
 use crate::modal::{Cube, Frame, Model, Recipe};
-use crate::optimize::CancelFlag;
 use crate::scene::{NcpaBasis, NollRange, Optimizer, System};
 use crate::source::flux_e;
 use crate::telescope::Telescope;
@@ -196,23 +196,22 @@ impl Retriever {
     }
 
     /// Retrieves the wavefront of every image of `cube` (`[image, y, x]`, electrons) about the static wavefront `about`, without the blur of each
-    /// exposure that an earlier retrieval found ([`RetrievedWavefronts::blur_e`]; empty of none). `watch` is given the number of finished images.
+    /// exposure that an earlier retrieval found ([`RetrievedWavefronts::blur_e`]; empty of none). Each image is a step of the progress.
     ///
     /// # Errors
     /// [`Error::Shape`] for frames of another size than the scene's, or a static wavefront of another model;
-    /// [`Error::Interrupted`] where `cancel` is raised.
+    /// [`Error::Interrupted`] where `control` is cancelled.
     pub fn retrieve_without(
         &self,
         blur_e: &[Vec<f32>],
         cube: Cube,
         about: Option<&StaticWavefront>,
-        cancel: Option<&CancelFlag>,
-        watch: &(dyn Fn(usize) + Sync),
+        control: &Control,
     ) -> Result<RetrievedWavefronts> {
         if let Some(about) = about {
             self.check_static_wavefront(about)?;
         }
-        self.run((about, blur_e), None, cube, cancel, watch)
+        self.run((about, blur_e), None, cube, control)
     }
 
     /// Retrieves the wavefronts of the images of `cube` from those of the same images with next to the same optics: `starts`, their
@@ -226,9 +225,9 @@ impl Retriever {
         &self,
         starts: &[Vec<f32>],
         cube: Cube,
-        cancel: Option<&CancelFlag>,
+        control: &Control,
     ) -> Result<RetrievedWavefronts> {
-        self.run((None, &[]), Some(starts), cube, cancel, &|_| {})
+        self.run((None, &[]), Some(starts), cube, control)
     }
 
     fn run(
@@ -236,8 +235,7 @@ impl Retriever {
         (about, blur_e): (Option<&StaticWavefront>, &[Vec<f32>]),
         starts: Option<&[Vec<f32>]>,
         cube: Cube,
-        cancel: Option<&CancelFlag>,
-        watch: &(dyn Fn(usize) + Sync),
+        control: &Control,
     ) -> Result<RetrievedWavefronts> {
         let read_noise_e = cube.read_noise_e.or(self.read_noise_e);
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
@@ -251,10 +249,10 @@ impl Retriever {
         let amplitudes = if self.settings.segment_amplitude_rms > 0.0 { parts.weights.segments } else { 0 };
         let sizes = [parts.weights.illuminated.len(), parts.modes.len(), amplitudes];
         let mut wavefronts = RetrievedWavefronts::unfinished(frames.len(), sizes);
-        let task = RetrievalTask { images: frames.len(), prepare: &prepare, about, blur_e, starts, cancel };
+        let task = RetrievalTask { images: frames.len(), prepare: &prepare, about, blur_e, starts, control };
         match &self.engine {
-            AnyEngine::Single(engine) => engine.retrieve(&task, &mut wavefronts, watch)?,
-            AnyEngine::Double(engine) => engine.retrieve(&task, &mut wavefronts, watch)?,
+            AnyEngine::Single(engine) => engine.retrieve(&task, &mut wavefronts)?,
+            AnyEngine::Double(engine) => engine.retrieve(&task, &mut wavefronts)?,
         }
         Ok(wavefronts)
     }
@@ -294,10 +292,9 @@ impl Retriever {
         &self,
         cube: Cube,
         about: Option<&StaticWavefront>,
-        cancel: Option<&CancelFlag>,
-        watch: &(dyn Fn(usize) + Sync),
+        control: &Control,
     ) -> Result<RetrievedWavefronts> {
-        self.retrieve_without(&[], cube, about, cancel, watch)
+        self.retrieve_without(&[], cube, about, control)
     }
 
     /// Model of the images: the segments' modes, then tip and tilt.

@@ -1,10 +1,9 @@
 //! Task: the images to retrieve, and what is known of each.
 
 use super::static_wavefront::StaticWavefront;
+use crate::Result;
+use crate::control::Control;
 use crate::modal::PreparedFrame;
-use crate::optimize::CancelFlag;
-use crate::{Error, Result};
-use std::sync::atomic::Ordering;
 
 /// A prepared image, or the reason why it is unusable.
 pub(super) type PreparedImage = std::result::Result<PreparedFrame, String>;
@@ -20,7 +19,7 @@ pub(super) struct RetrievalTask<'a> {
     pub(super) blur_e: &'a [Vec<f32>],
     /// Coordinates at which the optimisation of each image begins, 0 where they are of another model; where they are given, those at its end are kept.
     pub(super) starts: Option<&'a [Vec<f32>]>,
-    pub(super) cancel: Option<&'a CancelFlag>,
+    pub(super) control: &'a Control,
 }
 
 /// What is known of an image before its retrieval: see [`RetrievalTask`].
@@ -44,10 +43,6 @@ impl RetrievalTask<'_> {
     /// # Errors
     /// [`Error::Interrupted`] where the task is cancelled, with the number of images that are done.
     pub(super) fn check_cancel(&self, done: impl FnOnce() -> usize) -> Result<()> {
-        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            let (done, all) = (done(), self.images);
-            return Err(Error::Interrupted(format!("{done} of {all} wavefronts were retrieved")));
-        }
-        Ok(())
+        self.control.check_with(|| format!("{} of {} wavefronts were retrieved", done(), self.images))
     }
 }

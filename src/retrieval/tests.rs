@@ -1,7 +1,8 @@
 //! Retrieval of wavefronts drawn from the prior, with pistons, from simulated images of the same model.
 
 use super::*;
-use crate::imaging::{Choice, CpuChain, Precision};
+use crate::control::{Control, Stage};
+use crate::imaging::{Choice, CpuChain, FreeWavefront, Precision};
 use crate::modal::Cube;
 use crate::scene::Scene;
 use ndarray::{Array1, Array3, s};
@@ -47,7 +48,8 @@ pub(crate) fn draw(retriever: &Retriever, prior: &RadialPsd, count: usize, noise
             *nm = 60.0 * (2.4 * (segment + 7 * image) as f64).sin();
         }
         let turns: Vec<f64> = field_nm.iter().map(|nm| nm / wavelength_nm).collect();
-        let psf = chain.psf_free_in(coefficients_nm.view(), &turns, &mut scratch);
+        let psf =
+            chain.psf_free_in(FreeWavefront { coefficients_nm: coefficients_nm.view(), turns: &turns }, &mut scratch);
         // A bright star: the brightest pixel has some 10⁵ electrons.
         let flux_e = 3e8;
         let (top, left) = (rows / 2 - pixels / 2, columns / 2 - pixels / 2);
@@ -91,7 +93,7 @@ fn wavefronts_drawn_are_retrieved_from_their_images() {
     for noise in [false, true] {
         let drawn = draw(&retriever, &prior, 3, noise);
         let bad = drawn.images_e.mapv(|_| false);
-        let found = retriever.retrieve(cube(&drawn, &bad), None, None, &|_| {}).unwrap();
+        let found = retriever.retrieve(cube(&drawn, &bad), None, &Control::default()).unwrap();
         for (image, truth_nm) in drawn.wavefronts_nm.iter().enumerate() {
             let report = &found.reports[image];
             let error_nm: Vec<f64> = found.wavefront_nm.row(image).iter().zip(truth_nm).map(|(a, b)| a - b).collect();
@@ -143,14 +145,14 @@ fn results_do_not_depend_on_threads_and_batches() {
     let bad = drawn.images_e.mapv(|_| false);
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| retriever.retrieve(cube(&drawn, &bad), None, None, &|_| {}).unwrap())
+        pool.install(|| retriever.retrieve(cube(&drawn, &bad), None, &Control::default()).unwrap())
     };
     let (one, three) = (on(1), on(3));
     assert_eq!(one.wavefront_nm, three.wavefront_nm);
     assert_eq!(one.reports, three.reports);
     let last =
         Cube { images_e: drawn.images_e.slice(s![2.., .., ..]), bad: bad.slice(s![2.., .., ..]), read_noise_e: None };
-    let alone = retriever.retrieve(last, None, None, &|_| {}).unwrap();
+    let alone = retriever.retrieve(last, None, &Control::default()).unwrap();
     assert_eq!(alone.wavefront_nm.row(0), one.wavefront_nm.row(2));
 }
 
@@ -164,22 +166,22 @@ fn the_retrieval_starts_at_the_static_wavefront() {
     let truth_nm = &drawn.wavefronts_nm[0];
     let segments = retriever.model().segment_modes;
     let zero = StaticWavefront { segments_nm: vec![0.0; segments], smooth_nm: vec![0.0; truth_nm.len()] };
-    let plain = retriever.retrieve(cube(&drawn, &bad), None, None, &|_| {}).unwrap();
-    let at_zero = retriever.retrieve(cube(&drawn, &bad), Some(&zero), None, &|_| {}).unwrap();
+    let plain = retriever.retrieve(cube(&drawn, &bad), None, &Control::default()).unwrap();
+    let at_zero = retriever.retrieve(cube(&drawn, &bad), Some(&zero), &Control::default()).unwrap();
     assert_eq!(plain.wavefront_nm, at_zero.wavefront_nm);
     // At the truth the first gradient is that of the noise.
     let pistons: Vec<f64> = (0..segments).map(|segment| 60.0 * (2.4 * segment as f64).sin()).collect();
     let shown = retriever.modal_wavefront_nm(&pistons);
     let smooth_nm = truth_nm.iter().zip(&shown).map(|(truth, shown)| truth - shown).collect();
     let known = StaticWavefront { segments_nm: pistons, smooth_nm };
-    let found = retriever.retrieve(cube(&drawn, &bad), Some(&known), None, &|_| {}).unwrap();
+    let found = retriever.retrieve(cube(&drawn, &bad), Some(&known), &Control::default()).unwrap();
     let error = rms_nm(&retriever, found.wavefront_nm.row(0).iter().zip(truth_nm).map(|(a, b)| a - b));
     println!("{error} nm from the truth, {:?}", found.reports[0]);
     assert!(found.reports[0].evaluations < plain.reports[0].evaluations);
     assert!((found.reports[0].reduced_chi2 - 1.0).abs() < 0.2, "{:?}", found.reports[0]);
     assert!(
         retriever
-            .retrieve(cube(&drawn, &bad), Some(&StaticWavefront { segments_nm: vec![], ..zero }), None, &|_| {})
+            .retrieve(cube(&drawn, &bad), Some(&StaticWavefront { segments_nm: vec![], ..zero }), &Control::default())
             .is_err()
     );
 }
@@ -192,11 +194,12 @@ fn images_without_a_star_are_unusable_and_the_others_retrieved() {
     let mut drawn = draw(&retriever, &prior, 2, true);
     drawn.images_e.slice_mut(s![0, .., ..]).fill(5.0);
     let bad = drawn.images_e.mapv(|_| false);
-    let found = retriever.retrieve(cube(&drawn, &bad), None, None, &|_| {}).unwrap();
+    let found = retriever.retrieve(cube(&drawn, &bad), None, &Control::default()).unwrap();
     assert!(found.reports[0].refusal.is_some() && found.wavefront_nm.row(0).iter().all(|nm| nm.is_nan()));
     assert!(found.reports[1].refusal.is_none() && found.wavefront_nm.row(1).iter().all(|nm| nm.is_finite()));
-    let raised = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
-    let stopped = retriever.retrieve(cube(&drawn, &bad), None, Some(&raised), &|_| {});
+    let control = Control::default();
+    control.cancel();
+    let stopped = retriever.retrieve(cube(&drawn, &bad), None, &control);
     assert!(matches!(stopped, Err(crate::Error::Interrupted(_))));
 }
 
@@ -267,22 +270,20 @@ fn a_device_batch_agrees_with_the_cpu() {
     let mut drawn = draw(&reference, &prior, 7, true);
     drawn.images_e.slice_mut(s![1, .., ..]).fill(5.0);
     let bad = drawn.images_e.mapv(|_| false);
-    let expected = reference.retrieve(cube(&drawn, &bad), None, None, &|_| {}).unwrap();
+    let expected = reference.retrieve(cube(&drawn, &bad), None, &Control::default()).unwrap();
     for info in crate::device::tests::test_devices() {
         for precision in [Precision::F64, Precision::F32].into_iter().filter(|&precision| info.supports(precision)) {
             let retriever = on(info.address().parse().unwrap(), precision);
-            let most = std::sync::atomic::AtomicUsize::new(0);
-            let watch = |done: usize| {
-                most.fetch_max(done, std::sync::atomic::Ordering::Relaxed);
-            };
-            let found = retriever.retrieve(cube(&drawn, &bad), None, None, &watch).unwrap();
-            assert_eq!(most.into_inner(), 7);
+            let control = Control::default();
+            control.enter(Stage::Retrieving, 7);
+            let found = retriever.retrieve(cube(&drawn, &bad), None, &control).unwrap();
+            assert_eq!(control.progress().done, 7);
             let (name, failure) = retriever.device();
             assert!(name.starts_with(&info.address()) && failure.is_none(), "{name} {failure:?}");
             assert!(found.reports[1].refusal.is_some() && found.wavefront_nm.row(1).iter().all(|nm| nm.is_nan()));
             let statics =
                 StaticWavefront { segments_nm: vec![0.0; 7], smooth_nm: vec![0.0; retriever.points_m().len()] };
-            let again = retriever.retrieve(cube(&drawn, &bad), Some(&statics), None, &|_| {}).unwrap();
+            let again = retriever.retrieve(cube(&drawn, &bad), Some(&statics), &Control::default()).unwrap();
             assert_eq!(again.wavefront_nm.row(0), found.wavefront_nm.row(0), "the same bits from the same input");
             for image in [0, 2, 3, 4, 5, 6] {
                 let (one, other) = (&found.reports[image], &expected.reports[image]);
@@ -298,8 +299,8 @@ fn a_device_batch_agrees_with_the_cpu() {
                     assert_eq!((one.evaluations, one.reason), (other.evaluations, other.reason));
                 }
             }
-            let raised = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
-            let stopped = retriever.retrieve(cube(&drawn, &bad), None, Some(&raised), &|_| {});
+            control.cancel();
+            let stopped = retriever.retrieve(cube(&drawn, &bad), None, &control);
             assert!(matches!(stopped, Err(crate::Error::Interrupted(_))));
         }
     }

@@ -13,10 +13,10 @@ use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
 use super::wavefront_source::WavefrontSource;
+use crate::control::Control;
 use crate::linear_algebra::combination;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
 use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
-use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, System};
 use crate::telescope::Telescope;
@@ -61,7 +61,7 @@ pub(super) struct StaticsEstimator<'a> {
     sample_error_nm: f64,
     /// [`WavefrontSource::moved_reference_mas`].
     moved_reference_mas: Option<Array1<f64>>,
-    cancel: Option<&'a CancelFlag>,
+    control: &'a Control,
     /// What the next iteration in the same modes begins with.
     last: Option<LastEstimate>,
 }
@@ -79,7 +79,7 @@ impl<'a> StaticsEstimator<'a> {
         scene: &'a System,
         source: &dyn WavefrontSource,
         settings: &StaticsSettings,
-        cancel: Option<&'a CancelFlag>,
+        control: &'a Control,
     ) -> Result<Self> {
         let all_samples = source.samples();
         let kept = all_samples.select_bright(MIN_AMPLITUDE);
@@ -101,7 +101,7 @@ impl<'a> StaticsEstimator<'a> {
             loop_response,
             sample_error_nm: settings.sample_error_nm,
             moved_reference_mas: source.moved_reference_mas().cloned(),
-            cancel,
+            control,
             last: None,
         })
     }
@@ -167,7 +167,7 @@ impl<'a> StaticsEstimator<'a> {
 
     /// Covariance of the mean of `images` wavefronts of the covariance `residual`.
     pub(super) fn mean_covariance(&self, residual: &ResidualCovariance, images: usize) -> MeanCovariance {
-        MeanCovariance::new(residual, images, self.sample_error_nm, &self.samples).stopped_by(self.cancel)
+        MeanCovariance::new(residual, images, self.sample_error_nm, &self.samples).stopped_by(self.control)
     }
 
     /// Estimates the static errors of the selected images' wavefronts, of covariance `residual`, and of the slopes measured during

@@ -11,8 +11,8 @@ use super::segment_tilts::SegmentTilts;
 use super::settings::{StaticsSettings, TiltSelection};
 use super::static_modes::StaticModes;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
+use crate::control::Control;
 use crate::linear_algebra::combination;
-use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::StaticWavefront;
 use crate::scene::{AoKnowledge, System};
 use crate::{Error, Result};
@@ -35,15 +35,13 @@ pub fn estimate_static_errors(
     scene: &System,
     source: &mut dyn WavefrontSource,
     settings: &StaticsSettings,
-    cancel: Option<&CancelFlag>,
+    control: &Control,
 ) -> Result<Vec<Iteration>> {
-    let mut estimate = IterativeEstimate::new(scene, source, settings, cancel)?;
+    let mut estimate = IterativeEstimate::new(scene, source, settings, control)?;
     let (mut about, mut sequence) = (None, None);
     while estimate.iterations.len() < estimate.max_iterations {
         let count = estimate.iterations.len();
-        if is_cancelled(cancel) {
-            return Err(Error::Interrupted(format!("{count} iterations were made")));
-        }
+        control.check_with(|| format!("{count} iterations were made"))?;
         let new = source.retrieve(about.as_ref())?;
         // The same wavefronts would give the same estimate.
         let is_new = new.is_some() || count == 0;
@@ -92,9 +90,9 @@ impl<'a> IterativeEstimate<'a> {
         scene: &'a System,
         source: &dyn WavefrontSource,
         settings: &'a StaticsSettings,
-        cancel: Option<&'a CancelFlag>,
+        control: &'a Control,
     ) -> Result<Self> {
-        let mut estimator = StaticsEstimator::new(scene, source, settings, cancel)?;
+        let mut estimator = StaticsEstimator::new(scene, source, settings, control)?;
         if settings.tilts == TiltSelection::Always {
             estimator.add_tilts()?;
         }

@@ -7,8 +7,8 @@
 
 use super::convolution::{ConvolutionBuffers, Convolver};
 use super::covariance::ResidualCovariance;
+use crate::control::Control;
 use crate::linear_algebra::row_products;
-use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::IlluminatedSamples;
 use crate::{Error, Result};
 use ndarray::linalg::general_mat_mul;
@@ -43,7 +43,7 @@ pub struct MeanCovariance {
     floor_nm2: Vec<f32>,
     /// Approximate inverse of the eigenvalues, but for its scale.
     inverse: Vec<f32>,
-    cancel: Option<CancelFlag>,
+    control: Control,
 }
 
 /// Columns B weighted by the inverse of a covariance C, `[column, sample]`: X ≈ C⁻¹·B, and its residual R = B − C·X.
@@ -109,13 +109,13 @@ impl MeanCovariance {
             gain_nm2,
             floor_nm2: floor_nm2.map(|nm2| nm2 as f32).collect(),
             inverse,
-            cancel: None,
+            control: Control::default(),
         }
     }
 
-    /// As it is, but a solution ends where `cancel` is raised.
-    pub fn stopped_by(self, cancel: Option<&CancelFlag>) -> Self {
-        Self { cancel: cancel.cloned(), ..self }
+    /// As it is, but a solution ends where `control` is cancelled.
+    pub fn stopped_by(self, control: &Control) -> Self {
+        Self { control: control.clone(), ..self }
     }
 
     /// RMS, over the resolved frequencies, of the logarithm of this covariance over `other`; infinite for one on another grid.
@@ -157,9 +157,7 @@ impl MeanCovariance {
         solutions.zip(residuals).zip(pairs).try_for_each_init(
             || self.convolver.buffers(),
             |buffers, ((mut solution, mut residual), pair)| {
-                if is_cancelled(self.cancel.as_ref()) {
-                    return Err(Error::Interrupted("static errors were being separated".into()));
-                }
+                self.control.check("static errors were being separated")?;
                 // Columns are normalised, because the range of single precision is limited.
                 let norms = [0, 1].map(|i| {
                     let square = if i < pair.nrows() { pair.row(i).dot(&pair.row(i)) } else { 0.0 };

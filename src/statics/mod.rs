@@ -37,7 +37,7 @@ pub use iteration::Iteration;
 pub use ncpa_basis::NcpaFamily;
 pub(crate) use ncpa_basis::{MAX_NCPA_MODES, NcpaBasis};
 pub use segment_tilts::SegmentTilts;
-pub use sequence_retrieval::{ChannelSequence, SequenceProgress, SequenceRetrieval};
+pub use sequence_retrieval::{ChannelSequence, SequenceRetrieval};
 pub use settings::{StaticsSettings, TiltSelection};
 pub use static_errors::StaticErrors;
 pub(crate) use static_modes::check_diversity;

@@ -1,22 +1,13 @@
 //! Retrieval of a sequence of images, of one channel or of several, iteration after iteration about the last static wavefront.
 
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
+use crate::control::{Control, Stage};
 use crate::modal::Cube;
-use crate::optimize::CancelFlag;
 use crate::retrieval::{
     IlluminatedSamples, RadialPsd, RetrievalReport, RetrievedWavefronts, Retriever, StaticWavefront,
 };
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate};
-
-/// Progress of an iteration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SequenceProgress {
-    /// Number of images whose wavefronts are retrieved: 0 where an iteration begins.
-    Retrieved(usize),
-    /// All are retrieved; their static errors are separated.
-    Separating,
-}
 
 /// Images of one channel, and the retriever of their wavefronts.
 #[derive(Clone, Copy)]
@@ -39,8 +30,7 @@ pub struct SequenceRetrieval<'a> {
     slopes_mas: Option<Array2<f64>>,
     /// By how much corrections have moved the reference slopes, mas.
     moved_reference_mas: Option<Array1<f64>>,
-    cancel: Option<&'a CancelFlag>,
-    watch: &'a (dyn Fn(SequenceProgress) + Sync),
+    control: &'a Control,
     /// Static wavefront about which the first wavefronts are retrieved.
     start: Option<StaticWavefront>,
     /// Wavefronts of the first iteration, until it takes them.
@@ -73,8 +63,7 @@ impl<'a> SequenceRetrieval<'a> {
         is_simultaneous: bool,
         prior: &'a RadialPsd,
         slopes_mas: Option<Array2<f64>>,
-        cancel: Option<&'a CancelFlag>,
-        watch: &'a (dyn Fn(SequenceProgress) + Sync),
+        control: &'a Control,
     ) -> Result<Self> {
         let Some(first) = channels.first() else { return Err(Error::Internal("a sequence without channels".into())) };
         let counts: Vec<usize> = channels.iter().map(ChannelSequence::images).collect();
@@ -98,8 +87,7 @@ impl<'a> SequenceRetrieval<'a> {
             prior,
             slopes_mas,
             moved_reference_mas: None,
-            cancel,
-            watch,
+            control,
             start: None,
             first: None,
             reports: Vec::new(),
@@ -141,16 +129,14 @@ impl<'a> SequenceRetrieval<'a> {
     }
 
     fn timed(&mut self, about: Option<&StaticWavefront>) -> Result<Exposures> {
-        (self.watch)(SequenceProgress::Retrieved(0));
+        self.control.enter(Stage::Retrieving, self.channels.iter().map(ChannelSequence::images).sum());
         let started = std::time::Instant::now();
-        let (mut before, mut retrieved) = (0, Vec::new());
+        let mut retrieved = Vec::new();
         for (ChannelSequence { retriever, cube }, blur_e) in self.channels.iter().zip(&mut self.blur_e) {
-            let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(before + done));
             let about = about.or(self.start.as_ref());
-            let mut found = retriever.retrieve_without(blur_e, *cube, about, self.cancel, &watch)?;
+            let mut found = retriever.retrieve_without(blur_e, *cube, about, self.control)?;
             *blur_e = std::mem::take(&mut found.blur_e);
             retrieved.push(found);
-            before += cube.images_e.len_of(Axis(0));
         }
         self.seconds += started.elapsed().as_secs_f64();
         if self.is_simultaneous { Ok(simultaneous(retrieved)) } else { successive(retrieved) }
@@ -230,7 +216,7 @@ impl WavefrontSource for SequenceRetrieval<'_> {
         let first = self.first.take().filter(|_| about.is_none());
         let Exposures { wavefront_nm, reduced_chi2, reports } = first.map_or_else(|| self.timed(about), Ok)?;
         self.reports = reports;
-        (self.watch)(SequenceProgress::Separating);
+        self.control.enter(Stage::Separating, 0);
         Ok(Some(RetrievedSequence { wavefront_nm, reduced_chi2, slopes_mas: self.slopes_mas.clone() }))
     }
 }
@@ -259,7 +245,8 @@ mod tests {
         let (images_e, bad) = (Array3::zeros((2, 240, 240)), Array3::from_elem((2, 240, 240), false));
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
         let channel = ChannelSequence { retriever: &retriever, cube };
-        let source = SequenceRetrieval::new(vec![channel], false, &prior, None, None, &|_| {}).unwrap();
+        let control = Control::default();
+        let source = SequenceRetrieval::new(vec![channel], false, &prior, None, &control).unwrap();
         let pistons = &source.samples().pistons;
         let pistons_nm: Vec<f64> = (0..pistons.nrows()).map(|s| 50.0 * (2.4 * s as f64).sin()).collect();
         let retrieved = retriever.modal_wavefront_nm(&pistons_nm);
@@ -268,6 +255,6 @@ mod tests {
         // segments cancel to a tenth of their moduli it is magnified by some hundred.
         assert!(retrieved.iter().zip(&modelled).all(|(retrieved, modelled)| (retrieved - modelled).abs() < 1e-10));
         let slopes = Some(Array2::zeros((3, 4)));
-        assert!(SequenceRetrieval::new(vec![channel], false, &prior, slopes, None, &|_| {}).is_err());
+        assert!(SequenceRetrieval::new(vec![channel], false, &prior, slopes, &control).is_err());
     }
 }

@@ -4,7 +4,8 @@ use super::error_budget::ErrorSource;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use super::{Iteration, StaticsSettings, estimate_static_errors};
 use crate::Result;
-use crate::ao::{Frame, Progress, Recorder, Schedule, Shot, Simulator};
+use crate::ao::{Frame, Recorder, Schedule, Shot, Simulator};
+use crate::control::Control;
 use crate::metrics::residual_nm;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene, System};
@@ -149,7 +150,7 @@ fn run_with(more: &[(&str, &str)]) -> (Simulator, SimulatedWavefronts) {
     let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap().with(more).unwrap();
     let mut simulator = Simulator::new(&scene).unwrap();
     let mut wavefronts = SimulatedWavefronts::new(&simulator).unwrap();
-    simulator.run(&mut wavefronts, &mut Progress::default()).unwrap();
+    simulator.run(&mut wavefronts, &Control::default()).unwrap();
     (simulator, wavefronts)
 }
 
@@ -172,7 +173,7 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
         };
         let settings = StaticsSettings { ao_knowledge, ..StaticsSettings::default() };
         let mut known = KnownWavefronts(run.samples.clone(), Some(sequence));
-        estimate_static_errors(simulator.scene(), &mut known, &settings, None).unwrap().pop().unwrap()
+        estimate_static_errors(simulator.scene(), &mut known, &settings, &Control::default()).unwrap().pop().unwrap()
     };
     let pupil = &simulator.telescope().pupil;
     let truth = simulator.truth();
@@ -220,10 +221,15 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
         let reduced_chi2 = vec![1.0; wavefront_nm.nrows()];
         let sequence = RetrievedSequence { wavefront_nm: wavefront_nm.clone(), reduced_chi2, slopes_mas: None };
         let settings = StaticsSettings { ao_knowledge: AoKnowledge::Loop, ..StaticsSettings::default() };
-        estimate_static_errors(scene, &mut KnownWavefronts(run.samples.clone(), Some(sequence)), &settings, None)
-            .unwrap()
-            .pop()
-            .unwrap()
+        estimate_static_errors(
+            scene,
+            &mut KnownWavefronts(run.samples.clone(), Some(sequence)),
+            &settings,
+            &Control::default(),
+        )
+        .unwrap()
+        .pop()
+        .unwrap()
     };
     let known = simulator.scene();
     let (sure, mut unsure) =

@@ -2,7 +2,8 @@
 //! device.
 
 use super::here;
-use cophase::ao::{Progress, Shot, Simulator};
+use cophase::Control;
+use cophase::ao::{Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::{AoKnowledge, Scene};
 use ndarray::{Array1, Array2, Array3, Axis, concatenate, stack};
@@ -66,7 +67,7 @@ fn exposures_of_two_channels(command: Command) {
     let defocus = COLOURS.replace("wavelength_nm = 1640.0", "diversity_focus_waves_rms = -1.0");
     let scene = Scene::from_text(&format!("{}\n{defocus}", scene.text()), Path::new("")).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    Simulator::new(&scene).unwrap().run(&mut shots, &mut Progress::default()).unwrap();
+    Simulator::new(&scene).unwrap().run(&mut shots, &Control::default()).unwrap();
     let of = |channel: usize| -> Vec<&Shot> { shots.iter().filter(|shot| shot.channel == channel).collect() };
     let images = ["K", "H"].iter().enumerate().map(|(number, name)| {
         let views: Vec<_> = of(number).iter().map(|shot| shot.image_e.mapv(f64::from)).collect();

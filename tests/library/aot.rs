@@ -1,6 +1,7 @@
 //! Files of AOT without Python: what is written is read, bit by bit, and what is missing is named.
 
-use cophase::ao::{self, Progress, Shot, Simulator};
+use cophase::Control;
+use cophase::ao::{self, Shot, Simulator};
 use cophase::io::aot::{AotTables, Cell, commands_nm, image_reference, row_reference};
 use cophase::io::{FitsReader, FitsWriter, Pixel, PixelUnit, Quantity, read_images};
 use cophase::pipeline::{Images, embedded_scene};
@@ -14,7 +15,7 @@ fn run(folder: &TempDir, text: &str) -> [PathBuf; 2] {
     let scene = Scene::from_text(text, Path::new("")).unwrap();
     let mut simulator = Simulator::new(&scene).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
+    let summary = simulator.run(&mut shots, &Control::default()).unwrap();
     let paths = ["own.fits", "aot.fits"].map(|name| folder.path().join(name));
     ao::write(&paths[0], scene.text(), &simulator, &shots, &summary).unwrap();
     ao::write_aot(&paths[1], scene.text(), &simulator, &shots, &summary).unwrap();

@@ -2,7 +2,8 @@
 
 use crate::common::assert_facts;
 use crate::consistency::{scene, shown};
-use cophase::ao::{self, Progress, Shot, Simulator};
+use cophase::Control;
+use cophase::ao::{self, Shot, Simulator};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::modal::Model;
 use cophase::pipeline::{Estimate, Estimator, Images};
@@ -200,7 +201,7 @@ fn ao_channels_are_estimated_with_their_own_telemetry() {
     let scene = Scene::from_text(&text, Path::new("")).unwrap();
     let mut simulator = Simulator::new(&scene).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
+    let summary = simulator.run(&mut shots, &Control::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();

@@ -2,8 +2,9 @@
 //! the exposures that they were estimated from, by which their order and their sign are told.
 
 use crate::common::assert_facts;
+use cophase::Control;
 use cophase::Error;
-use cophase::ao::{Progress, Shot, Simulator, Stepper};
+use cophase::ao::{Shot, Simulator, Stepper};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::modes::{Samples, SegmentModes};
 use cophase::pipeline::{Estimate, Estimator, Images, SentCorrections};
@@ -70,7 +71,7 @@ fn exposures_that_the_turbulence_blurs_leave_no_ncpa() {
     ];
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    Simulator::new(&scene).unwrap().run(&mut shots, &mut Progress { watch: None, cancel: None }).unwrap();
+    Simulator::new(&scene).unwrap().run(&mut shots, &Control::default()).unwrap();
     let views: Vec<_> = shots.iter().map(|shot| shot.image_e.mapv(f64::from)).collect();
     let images_e = ndarray::stack(Axis(0), &views.iter().map(|image| image.view()).collect::<Vec<_>>()).unwrap();
     let slopes_mas = Array2::from_shape_fn((shots.len(), shots[0].mean_slopes_mas.len()), |(image, slope)| {

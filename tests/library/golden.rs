@@ -1,6 +1,7 @@
 //! Comparison with vectors from an independent program (`tests/golden/README.md`), on every available chain.
 
 use crate::common::{chains, relative_difference};
+use cophase::Control;
 use cophase::imaging::{Chain, CpuChain, Exposure, Precision};
 use cophase::io;
 use cophase::modal::{Cube, Frame, ModalEstimate, ModalFitter};
@@ -144,7 +145,13 @@ fn the_gauss_newton_matrix_is_golden() {
 fn run(estimator: &ModalFitter, chain: &mut Chain, name: &str) -> ModalEstimate {
     let data = image(name).insert_axis(Axis(0));
     let bad = data.mapv(|_| false);
-    estimator.estimate(chain, data.view(), bad.view(), Some(120.0), None, &mut |_, _| {}).unwrap()
+    estimator
+        .estimate(
+            chain,
+            Cube { images_e: data.view(), bad: bad.view(), read_noise_e: Some(120.0) },
+            &Control::default(),
+        )
+        .unwrap()
 }
 
 #[test]
@@ -180,7 +187,7 @@ fn our_default_is_at_least_as_close_to_the_truth() {
         let images = io::read_images(file(name), None).unwrap();
         let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
         let mut open = |ours: &ModalFitter| Ok(Chain::cpu(ours.model().optics.clone(), Precision::F64));
-        let (ours, estimate) = cophase::modal::estimate_scene(&scene, cube, &mut open, None, &mut |_, _| {}).unwrap();
+        let (ours, estimate) = cophase::modal::estimate_scene(&scene, cube, &mut open, &Control::default()).unwrap();
         let pupil = &ours.model().telescope.pupil;
         let theirs = vector(name, "EST_LM_WEIGHTED");
         let residuals =

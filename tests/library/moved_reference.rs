@@ -1,7 +1,8 @@
 //! Full-phase estimates behind a loop whose reference slopes a correction has moved: the telemetry is relative to them.
 
 use crate::full_phase::sky;
-use cophase::ao::{self, Progress, Shot};
+use cophase::Control;
+use cophase::ao::{self, Shot};
 use cophase::pipeline::{Estimate, Estimator, Images, SentCorrections};
 use cophase::scene::Scene;
 use ndarray::Array1;
@@ -11,7 +12,7 @@ use std::path::Path;
 fn images(scene: &Scene, sent: &[SentCorrections], path: &Path) -> Images {
     let mut simulator = SentCorrections::system(sent, scene).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    let summary = simulator.run(&mut shots, &mut Progress { watch: None, cancel: None }).unwrap();
+    let summary = simulator.run(&mut shots, &Control::default()).unwrap();
     ao::write(path, scene.text(), &simulator, &shots, &summary).unwrap();
     Images::read(path, None).unwrap()
 }

@@ -3,7 +3,8 @@
 use crate::common::assert_facts;
 use crate::consistency::shown;
 use crate::full_phase::sky;
-use cophase::ao::{self, Progress, Shot, Simulator};
+use cophase::Control;
+use cophase::ao::{self, Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images};
 use cophase::scene::{AoKnowledge, Scene};
 use std::path::Path;
@@ -24,7 +25,7 @@ fn scene(channels: &str, settings: &[(&str, &str)]) -> Scene {
 fn simulated(scene: &Scene) -> Vec<Images> {
     let mut simulator = Simulator::new(scene).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
+    let summary = simulator.run(&mut shots, &Control::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();

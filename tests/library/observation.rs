@@ -1,14 +1,15 @@
 //! Plans of observations: what they promise, and what they refuse.
 
 use crate::consistency::{scene, shown};
+use cophase::Control;
 use cophase::pipeline::{Estimator, Images, plan_observation};
 use cophase::scene::Scene;
 
 fn plan(scene: &Scene, wavelengths_nm: &[f64], budget_nm: f64) -> cophase::pipeline::ObservationPlan {
-    let mut done = 0;
-    let plan =
-        plan_observation(scene, wavelengths_nm, budget_nm, None, &mut |now, all| done = now * 100 / all).unwrap();
-    assert_eq!(done, 100);
+    let control = Control::default();
+    let plan = plan_observation(scene, wavelengths_nm, budget_nm, &control).unwrap();
+    let progress = control.progress();
+    assert!(progress.done > 0 && progress.done == progress.total, "{progress:?}");
     plan
 }
 
@@ -49,10 +50,10 @@ fn two_wavelengths_extend_range_and_tiny_budgets_have_no_plan() {
 #[test]
 fn scenes_that_are_not_planned_are_refused() {
     let refused = |scene: &Scene, budget_nm: f64| {
-        plan_observation(scene, &[], budget_nm, None, &mut |_, _| {}).map(drop).unwrap_err().to_string()
+        plan_observation(scene, &[], budget_nm, &Control::default()).map(drop).unwrap_err().to_string()
     };
     assert!(refused(&Scene::preset("keck-onsky").unwrap(), 1.0).contains("behind an AO loop"));
     assert!(refused(&scene(&[]), 0.0).contains("budget of 0 nm"));
-    let odd = plan_observation(&scene(&[]), &[2000.0, f64::NAN], 1.0, None, &mut |_, _| {}).unwrap_err().to_string();
+    let odd = plan_observation(&scene(&[]), &[2000.0, f64::NAN], 1.0, &Control::default()).unwrap_err().to_string();
     assert!(odd.contains("a wavelength of NaN nm"), "{odd}");
 }

@@ -3,8 +3,9 @@
 //! The estimate divides all slopes by one gain. A loop drives the mean slopes of its modes to 0, which no gain changes; about reference slopes
 //! they are not 0.
 
+use cophase::Control;
 use cophase::Estimator;
-use cophase::ao::{Progress, Shot, Simulator};
+use cophase::ao::{Shot, Simulator};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::metrics::residual_nm;
 use cophase::pipeline::{Estimate, Images};
@@ -70,7 +71,7 @@ impl Draw {
         let scene = scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)]).unwrap();
         let mut simulator = Simulator::new(&scene).unwrap();
         let mut shots: Vec<Shot> = Vec::new();
-        simulator.run(&mut shots, &mut Progress { watch: None, cancel: None }).unwrap();
+        simulator.run(&mut shots, &Control::default()).unwrap();
         let images: Vec<_> = shots.iter().map(|shot| shot.image_e.mapv(f64::from)).collect();
         let images_e = stack(Axis(0), &images.iter().map(|image| image.view()).collect::<Vec<_>>()).unwrap();
         let slopes_mas = Array2::from_shape_fn((shots.len(), shots[0].mean_slopes_mas.len()), |(image, slope)| {

@@ -2,7 +2,8 @@
 
 use super::full_phase::sky;
 use crate::common::assert_facts;
-use cophase::ao::{self, Progress, Shot, Simulator};
+use cophase::Control;
+use cophase::ao::{self, Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::pupil::{Aperture, Grid, HexagonalParameters, Pupil, PupilParts};
 use cophase::scene::Scene;
@@ -166,7 +167,7 @@ fn petals_are_static_modes_of_a_full_phase_estimate() {
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let mut simulator = Simulator::new(&scene).unwrap();
     let mut shots: Vec<Shot> = Vec::new();
-    let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
+    let summary = simulator.run(&mut shots, &Control::default()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();

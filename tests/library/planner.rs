@@ -1,6 +1,7 @@
 //! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what it cannot do.
 
 use crate::common::assert_facts;
+use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
 use cophase::modal::{Cube, ImageStatus, ModalFitter, Recipe};
@@ -43,7 +44,7 @@ fn small(settings: &[(&str, &str)]) -> Scene {
 }
 
 fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
-    planner::plan(scene, budget_nm, None)
+    planner::plan(scene, budget_nm, &Control::default())
 }
 
 /// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator makes it.
@@ -57,7 +58,7 @@ fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
     let mut chain = Chain::cpu(estimator.model().optics.clone(), precision);
     let bad = made.images_e.mapv(|_| false);
     let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };
-    let found = estimator.fit_each(&mut chain, cube, None, &mut |_, _| {}).unwrap();
+    let found = estimator.fit_each(&mut chain, cube, &Control::default()).unwrap();
     let (model, coefficients_nm) = (estimator.model(), found.coefficients_nm.row(0).to_vec());
     let pupil = &model.telescope.pupil;
     let truth = made.truth.maps_on(pupil).unwrap();
@@ -97,7 +98,7 @@ fn plan_is_a_reproducible_scene() {
     assert_eq!(first.scene.text(), second.scene.text());
     // The budget is spent: the plan is not planned again.
     assert_eq!(first.scene.estimate.budget_nm, None);
-    assert_eq!(planner::resolve(&scene, None).unwrap().text(), first.scene.text());
+    assert_eq!(planner::resolve(&scene, &Control::default()).unwrap().text(), first.scene.text());
     // What was decided stands in it, and what was not asked for is as it was.
     assert!(matches!(first.scene.image.crop_pixels, Crop::Pixels(_)));
     assert!(first.scene.estimate.samples.is_some_and(|samples| samples < 64), "{:?}", first.scene.estimate.samples);
@@ -217,9 +218,9 @@ fn unplannable_scenes_are_refused() {
     // An estimator of a scene with a budget would ignore it.
     let error = ModalFitter::new(&small(&[("estimate.budget_nm", "1")]), false).err().unwrap();
     assert!(error.to_string().contains("budget_nm"), "{error}");
-    let flag = cophase::optimize::CancelFlag::default();
-    flag.store(true, std::sync::atomic::Ordering::Relaxed);
-    assert!(matches!(planner::plan(&small(&[]), 1.0, Some(&flag)), Err(Error::Interrupted(_))));
+    let control = Control::default();
+    control.cancel();
+    assert!(matches!(planner::plan(&small(&[]), 1.0, &control), Err(Error::Interrupted(_))));
 }
 
 /// A pair and two colours, whose channels differ in what they need.

@@ -3,7 +3,7 @@
 use crate::full_phase::{exposures, sky};
 use cophase::Error;
 use cophase::ao::Stepper;
-use cophase::optimize::CancelFlag;
+use cophase::control::CancelFlag;
 use cophase::pipeline::{Control, Estimator, Images, Policy, Progress, Stage};
 use cophase::scene::Scene;
 use std::sync::atomic::Ordering;

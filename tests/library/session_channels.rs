@@ -10,7 +10,6 @@ use cophase::optimize::StopReason;
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::scene::Scene;
 use ndarray::{Array2, s};
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// A session of `scene` with the frames of `images`.
@@ -142,7 +141,7 @@ fn deadlines_cancels_and_frames_of_no_use() {
     assert!(fit.status == late && fit.coefficients_nm.iter().chain(&fit.sigma_nm).all(|nm| nm.is_nan()));
     assert!(matches!(session.refine(0), Err(Error::Value(_))));
     // The flag stops the fit of the next channel, too, and is lowered by it.
-    session.cancel_flag().store(true, Ordering::Relaxed);
+    session.control().cancel();
     assert!(matches!(session.fit(1, &FitOptions::default()), Err(Error::Interrupted(_))));
     assert!(session.results().is_empty() && session.channels().iter().all(|channel| channel.results().is_empty()));
     session.fit(1, &FitOptions::default()).unwrap();

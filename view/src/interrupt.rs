@@ -1,9 +1,10 @@
 //! Signals: Ctrl-C and SIGTERM stop at the next safe place, and a limit on file sizes is an error like a full disk.
 
-use crate::terminal;
+use crate::terminal::{self, Wait};
+use cophase::control::CancelFlag;
 use cophase::io::abandon_files;
 use cophase::machine::start_threads;
-use cophase::optimize::CancelFlag;
+use cophase::pipeline::Control;
 use cophase::{Error, Result};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -124,7 +125,17 @@ impl Interrupt {
         Ok(Self { flag })
     }
 
-    /// What the optimiser looks at.
+    /// The control of a call that stops at Ctrl-C and shows its progress on `wait`.
+    pub fn control(&self, wait: &Wait) -> Control {
+        Control::with_flag(self.flag.clone(), wait.observer())
+    }
+
+    /// The control of calls that stop at Ctrl-C, and show no progress.
+    pub fn silent_control(&self) -> Control {
+        Control::with_flag(self.flag.clone(), |_| {})
+    }
+
+    /// The flag that Ctrl-C raises.
     pub fn flag(&self) -> &CancelFlag {
         &self.flag
     }

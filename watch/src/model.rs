@@ -4,7 +4,7 @@ use crate::store::About;
 use cophase::Result;
 use cophase::modal;
 use cophase::modes::Group;
-use cophase::pipeline::{Control, FrameEstimator, Policy};
+use cophase::pipeline::{FrameEstimator, Policy};
 use cophase::scene::Scene;
 use cophase::telescope::SegmentPlace;
 use cophase_view::interrupt::Interrupt;
@@ -68,7 +68,7 @@ impl Model {
 }
 
 fn estimator(scene: &Scene, policy: Policy, interrupt: &Interrupt) -> Result<FrameEstimator> {
-    FrameEstimator::new(scene, policy, Control::with_flag(interrupt.flag().clone(), |_| {}))
+    FrameEstimator::new(scene, policy, interrupt.silent_control())
 }
 
 /// RMS over the pupil of the modes of a group, piston, tip and tilt removed.

@@ -1,7 +1,7 @@
 //! `cophase check`: scene and images before an estimate is believed.
 
 use cophase::Result;
-use cophase::pipeline::{Check, Control, Finding, Images, Poke, check};
+use cophase::pipeline::{Check, Finding, Images, Poke, check};
 use cophase::scene::Scene;
 use cophase_view::files::{self, Settings};
 use cophase_view::interrupt::Interrupt;
@@ -108,9 +108,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
         (None, None) => None,
     };
     let bar = terminal.follow();
-    let control = Control::with_flag(interrupt.flag().clone(), bar.observer());
     let poke = poke.map(|poke| (before.as_ref(), poke));
-    let found = check(&scene, &images, poke, &control).map_err(files::about(&arguments.images))?;
+    let found = check(&scene, &images, poke, &interrupt.control(&bar)).map_err(files::about(&arguments.images))?;
     drop(bar);
     if let Some(path) = &arguments.plot {
         picture(&arguments.images.display().to_string(), &found).draw(path)?;

@@ -17,8 +17,7 @@ pub fn planned(
     interrupt: &Interrupt,
 ) -> Result<ObservationPlan> {
     let wait = terminal.wait("Trying observations", 0);
-    let mut watch = |done, all| wait.done_of(done, all);
-    plan_observation(scene, wavelengths_nm, budget_nm, Some(interrupt.flag()), &mut watch)
+    plan_observation(scene, wavelengths_nm, budget_nm, &interrupt.control(&wait))
 }
 
 /// Prints the plan for people, or as JSON.

@@ -1,7 +1,7 @@
 //! `cophase simulate`: an AO loop under a sky, its images, the truth, the telemetry.
 
 use cophase::Result;
-use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
+use cophase::ao::{self, Shot, Simulator, Stage, Summary};
 use cophase::pipeline::{Part, SentCorrections};
 use cophase::scene::{Scene, System};
 use cophase_view::files::{self, Settings};
@@ -191,9 +191,7 @@ fn simulate(
     }
     let mut shots: Vec<Shot> = Vec::new();
     let wait = terminal.wait("Closing the loop", 2);
-    let mut watch = |done: u64, all: u64| wait.done_of(done as usize, all as usize);
-    let mut progress = Progress { watch: Some(&mut watch), cancel: Some(interrupt.flag()) };
-    let summary = simulator.run(&mut shots, &mut progress)?;
+    let summary = simulator.run(&mut shots, &interrupt.control(&wait))?;
     Ok((simulator, shots, summary))
 }
 

@@ -1,7 +1,7 @@
 //! What is varied: the model's size and recipe, and where, how precisely and how many at a time it is fitted.
 
+use cophase::control::Control;
 use cophase::device::{self, Choice, Precision};
-use cophase::optimize::CancelFlag;
 use cophase::planner;
 use cophase::scene::{Aperture, Optimizer, PupilModel, Scene};
 use cophase::{Error, Result};
@@ -156,9 +156,9 @@ impl Grid {
 
 impl ModelPlan {
     /// `scene` with this model.
-    pub fn scene(&self, scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Scene> {
+    pub fn scene(&self, scene: &Scene, control: &Control) -> Result<Scene> {
         if let Some(budget_nm) = self.budget_nm {
-            return Ok(planner::plan(scene, budget_nm, cancel)?.scene);
+            return Ok(planner::plan(scene, budget_nm, control)?.scene);
         }
         let samples = self.samples.to_string();
         let crop = match self.crop {

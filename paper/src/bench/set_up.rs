@@ -21,7 +21,7 @@ pub(super) struct SetUp {
 impl SetUp {
     pub(super) fn new(model: &ModelPlan, scene: &Scene, draws: &[Draw], progress: &Progress) -> Result<Self> {
         progress.check()?;
-        let scene = model.scene(scene, progress.cancel())?;
+        let scene = model.scene(scene, progress.control())?;
         let started = Instant::now();
         let case = Case::new(&scene)?;
         let seconds = started.elapsed().as_secs_f64();

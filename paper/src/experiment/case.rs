@@ -3,6 +3,7 @@
 use super::{Draw, KeptDraw, Progress, statistics, to_cells, to_numbers};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::{MapGram, residual_nm};
+use cophase::modal::Cube;
 use cophase::modal::{Frame, ModalEstimate, ModalFitter};
 use cophase::modes::Group;
 use cophase::optimize::Metric;
@@ -160,8 +161,8 @@ impl Case {
         let images_e = stack(Axis(0), &views).map_err(|error| Error::Shape(format!("the draws differ: {error}")))?;
         let bad = images_e.mapv(|_| false);
         let mut chain = Chain::cpu(self.estimator.model().optics.clone(), Precision::F64);
-        let found =
-            self.estimator.estimate(&mut chain, images_e.view(), bad.view(), None, progress.cancel(), &mut |_, _| {});
+        let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
+        let found = self.estimator.estimate(&mut chain, cube, progress.control());
         let seconds = started.elapsed().as_secs_f64() / draws.len() as f64;
         match found {
             Ok(found) => draws.iter().enumerate().map(|(i, draw)| self.trial(&found, i, draw, seconds)).collect(),

@@ -1,7 +1,7 @@
 //! Progress of an experiment, its cancellation, and the draws that it shares with other processes.
 
 use super::shares::{KeptDraw, Shares};
-use cophase::optimize::CancelFlag;
+use cophase::pipeline::Control;
 use cophase::{Error, Result};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -9,15 +9,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub struct Progress<'a> {
     shares: Option<Shares>,
     watch: &'a (dyn Fn(usize, usize) + Sync),
-    cancel: Option<&'a CancelFlag>,
+    control: Control,
     done: AtomicUsize,
     total: AtomicUsize,
 }
 
 impl<'a> Progress<'a> {
-    /// `watch` is called with (done, total); `cancel` stops the experiment where it goes up.
-    pub fn new(watch: &'a (dyn Fn(usize, usize) + Sync), cancel: Option<&'a CancelFlag>) -> Self {
-        Self { shares: None, watch, cancel, done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
+    /// `watch` is called with (done, total); `control` stops the experiment where it is cancelled.
+    pub fn new(watch: &'a (dyn Fn(usize, usize) + Sync), control: &Control) -> Self {
+        Self { shares: None, watch, control: control.clone(), done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
     }
 
     /// This, of an experiment that shares its draws.
@@ -53,9 +53,9 @@ impl<'a> Progress<'a> {
         Ok(Some(made))
     }
 
-    /// Flag that stops the experiment, for code that polls it.
-    pub fn cancel(&self) -> Option<&'a CancelFlag> {
-        self.cancel
+    /// What stops the experiment, for the calls of which it is made.
+    pub fn control(&self) -> &Control {
+        &self.control
     }
 
     /// So many steps lie ahead.
@@ -71,9 +71,9 @@ impl<'a> Progress<'a> {
     }
 
     /// # Errors
-    /// [`Error::Interrupted`] where the flag is up, with how far the experiment came.
+    /// [`Error::Interrupted`] where the control is cancelled, with how far the experiment came.
     pub fn check(&self) -> Result<()> {
-        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if self.control.is_cancelled() {
             let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
             return Err(Error::Interrupted(format!("{done} of {total} steps were done")));
         }

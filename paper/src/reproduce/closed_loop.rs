@@ -140,8 +140,7 @@ fn one(seed: usize, progress: &Progress) -> Result<Vec<Round>> {
 fn measure(scene: &Scene, sent: &[SentCorrections], progress: &Progress) -> Result<(Corrections, [f64; 2], f64)> {
     let mut simulator = SentCorrections::system(sent, scene)?;
     let mut shots: Vec<Shot> = Vec::new();
-    let watch = &mut ao::Progress { watch: None, cancel: progress.cancel().map(|flag| &**flag) };
-    let summary = simulator.run(&mut shots, watch)?;
+    let summary = simulator.run(&mut shots, progress.control())?;
     let folder = tempfile::tempdir().map_err(|error| Error::file(std::env::temp_dir(), error))?;
     let path = folder.path().join("images.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary)?;

@@ -91,7 +91,7 @@ pub fn observations(seeds: usize, progress: &Progress) -> Result<Observations> {
     progress.expect(SCENES as usize);
     let make = |number: u64| {
         let (scene, budget_nm, wavelengths_nm) = random(number)?;
-        let plan = plan_observation(&scene, wavelengths_nm, budget_nm, None, &mut |_, _| {})?;
+        let plan = plan_observation(&scene, wavelengths_nm, budget_nm, progress.control())?;
         let mut found = PlannedScene { budget_nm: plan.budget_nm, observed: None };
         if let Some(observation) = plan.recommended() {
             let estimator = Estimator::new(&observation.scene)?;

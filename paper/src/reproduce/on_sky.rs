@@ -6,16 +6,16 @@
 
 use super::table_rows::{Conditions, Row};
 use super::{KeptDraw, Progress, Way};
-use cophase::ao::{self, Shot, Simulator};
+use cophase::ao::{Shot, Simulator};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
+use cophase::modal::Cube;
 use cophase::modal::{ModalEstimate, ModalFitter, Recipe};
-use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use cophase::pipeline::{Estimate, Estimator, Images, Policy};
 use cophase::scene::{AoKnowledge, Scene};
 use cophase::source;
 use cophase::{Error, Result};
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 
 /// Images of turbulence are fitted in single precision until no coefficient moves by more than this, nm: it moves a
@@ -86,8 +86,7 @@ impl Sequence {
     pub fn behind(mut simulator: Simulator, progress: &Progress) -> Result<Self> {
         progress.check()?;
         let mut shots: Vec<Shot> = Vec::new();
-        let watch = &mut ao::Progress { watch: None, cancel: progress.cancel().map(|flag| &**flag) };
-        let summary = simulator.run(&mut shots, watch)?;
+        let summary = simulator.run(&mut shots, progress.control())?;
         let (rows, columns) = simulator.scene().image.frame_shape();
         let mut images_e = Array3::zeros((shots.len(), rows, columns));
         for (mut image, shot) in images_e.outer_iter_mut().zip(&shots) {
@@ -126,8 +125,7 @@ impl Sequence {
         let has_slopes = reader.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
         let slopes_mas = has_slopes.then(|| self.slopes_mas.slice(s![..count, ..]).to_owned());
         let images = Images { slopes_mas, ..Images::new(images_e) };
-        let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});
-        Estimator::with_policy(reader, Policy::default(), control)?.estimate(&images)
+        Estimator::with_policy(reader, Policy::default(), progress.control().clone())?.estimate(&images)
     }
 }
 
@@ -259,18 +257,16 @@ impl Reader {
     /// Those of [`ModalFitter::estimate`]; [`Error::Interrupted`].
     pub fn fit(&self, sequence: &Sequence, progress: &Progress) -> Result<Option<ModalEstimate>> {
         progress.check()?;
-        let done = AtomicUsize::new(0);
-        let mut watch = |now: usize, _: usize| progress.add(now.saturating_sub(done.swap(now, Ordering::Relaxed)));
         let found = if sequence.images() == 0 {
             Err(Error::Image("the loop was lost before the first image".into()))
         } else {
             let bad = sequence.images_e.mapv(|_| false);
             let mut chain = Chain::cpu(self.estimator.model().optics.clone(), self.precision);
-            let images_e = sequence.images_e.view();
-            self.estimator.estimate(&mut chain, images_e, bad.view(), None, progress.cancel(), &mut watch)
+            let cube = Cube { images_e: sequence.images_e.view(), bad: bad.view(), read_noise_e: None };
+            self.estimator.estimate(&mut chain, cube, progress.control())
         };
         // The whole expects all images of each part.
-        progress.add(self.estimator.scene().image.count.saturating_sub(done.into_inner()));
+        progress.add(self.estimator.scene().image.count);
         match found {
             Ok(estimate) => Ok(Some(estimate)),
             // A lost loop leaves nothing that can be fitted: that is a result too.

@@ -7,7 +7,7 @@ use super::{
     bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, hard_cases, image_numbers, moving_star,
     night, observations, on_sky, petals, pulls, pyramid, samples,
 };
-use cophase::optimize::CancelFlag;
+use cophase::pipeline::Control;
 use cophase::pipeline::Part;
 use cophase::{Error, Result};
 use std::path::Path;
@@ -201,20 +201,15 @@ impl Target {
     ///
     /// # Errors
     /// [`Error::Value`] for no seeds, [`Error::File`] where a file cannot be written, [`Error::Interrupted`] where
-    /// `cancel` went up, and those of the estimator.
-    pub fn run(
-        self,
-        options: &Options,
-        watch: &(dyn Fn(usize, usize) + Sync),
-        cancel: Option<&CancelFlag>,
-    ) -> Result<Report> {
+    /// `control` was cancelled, and those of the estimator.
+    pub fn run(self, options: &Options, watch: &(dyn Fn(usize, usize) + Sync), control: &Control) -> Result<Report> {
         let seeds = options.seeds.unwrap_or(if options.quick { 2 } else { self.default_seeds() });
         if seeds == 0 {
             return Err(Error::Value("--seeds is 0: 1 or more is accepted".into()));
         }
         self.check_part(options.part)?;
         std::fs::create_dir_all(&options.directory).map_err(|error| Error::file(&options.directory, error))?;
-        let progress = Progress::new(watch, cancel);
+        let progress = Progress::new(watch, control);
         let progress = match self.is_shared() {
             true => progress.with_shares(options.shares(self.name())?),
             false => progress,

@@ -161,7 +161,7 @@ fn measure(arguments: &Arguments, scene: &Scene, terminal: &Terminal, interrupt:
     let seed = arguments.seed.unwrap_or_else(|| scene.seed());
     let wait = terminal.wait("Measuring", usize::MAX);
     let watch = |done: usize, all: usize| wait.done_of(done, all);
-    bench::run(scene, &arguments.grid(), seed, &Progress::new(&watch, Some(interrupt.flag())))
+    bench::run(scene, &arguments.grid(), seed, &Progress::new(&watch, &interrupt.silent_control()))
 }
 
 /// What comes once, apart from the times of the table.

@@ -142,7 +142,7 @@ fn make(arguments: &Arguments, part: Option<Part>, terminal: &Terminal, interrup
     for target in &arguments.targets.0 {
         let report = {
             let wait = terminal.wait(target.name(), usize::MAX);
-            target.run(&options, &|done, all| wait.done_of(done, all), Some(interrupt.flag()))?
+            target.run(&options, &|done, all| wait.done_of(done, all), &interrupt.silent_control())?
         };
         if !arguments.json {
             terminal.show(&format!("{}\n", report.text))?;

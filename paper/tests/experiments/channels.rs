@@ -1,5 +1,6 @@
 //! Two colours of a faint star whose pistons are beyond half a wave.
 
+use cophase::Control;
 use cophase_paper::reproduce::{ChannelRow, Progress, channels};
 
 /// In five of these draws the first fit of one colour ends in a wrong minimum with a χ² of 1.1. The χ² of the difference of the two
@@ -7,7 +8,7 @@ use cophase_paper::reproduce::{ChannelRow, Progress, channels};
 #[test]
 fn colours_that_contradict_each_other_are_fitted_again() {
     let rows = ChannelRow::named(&["S/N 30".into()]).unwrap();
-    let table = channels(&rows, 8, &Progress::new(&|_, _| {}, None)).unwrap();
+    let table = channels(&rows, 8, &Progress::new(&|_, _| {}, &Control::default())).unwrap();
     let [(_, draws)] = table.0.as_slice() else { panic!("one row was tried") };
     let wrong: usize = draws.iter().flat_map(|draw| &draw.integers).filter(|(_, is_right)| !is_right).count();
     assert_eq!((draws.len(), wrong), (8, 0));

@@ -1,16 +1,14 @@
 //! How much of the segments' pistons leaks into the mirror (section 4 of the paper), against an independent prototype.
 
+use cophase::Control;
 use cophase::Error;
 use cophase::ao::Simulator;
-use cophase::optimize::CancelFlag;
 use cophase::scene::Scene;
 use cophase::source::Truth;
 use cophase::telescope::Telescope;
 use cophase_paper::reproduce::figures::{Leak, LeakCase, leak};
 use cophase_paper::reproduce::{Progress, statistics};
 use rand::SeedableRng;
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 const SEEDS: usize = 6;
 
@@ -20,7 +18,7 @@ fn tried() -> Vec<LeakCase> {
 }
 
 fn run(cases: &[LeakCase], seeds: usize) -> Leak {
-    leak(cases, seeds, &Progress::new(&|_, _| {}, None)).unwrap()
+    leak(cases, seeds, &Progress::new(&|_, _| {}, &Control::default())).unwrap()
 }
 
 #[test]
@@ -66,9 +64,9 @@ fn the_same_draws_give_the_same_bits_and_a_mask_that_grows() {
 
 #[test]
 fn cancelled_run_stops() {
-    let flag: CancelFlag = Arc::default();
-    flag.store(true, Ordering::Relaxed);
-    let error = leak(&LeakCase::ALL, 1, &Progress::new(&|_, _| {}, Some(&flag))).unwrap_err();
+    let cancelled = Control::default();
+    cancelled.cancel();
+    let error = leak(&LeakCase::ALL, 1, &Progress::new(&|_, _| {}, &cancelled)).unwrap_err();
     assert!(matches!(error, Error::Interrupted(_)), "{error}");
 }
 

@@ -1,5 +1,6 @@
 //! The paper's table from end to end, in little: loops of a third of a second, a few images, everything else as it is.
 
+use cophase::Control;
 use cophase_paper::reproduce::{
     Conditions, OnSky, Options, Progress, ROWS, Row, Segments, Target, Way, image_numbers, on_sky,
 };
@@ -36,7 +37,7 @@ fn the_table_is_the_same_on_one_core_and_on_many() {
             last.fetch_max(done, Ordering::Relaxed);
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let made = pool.install(|| on_sky(&rows, &short("4"), 1, &Progress::new(&watch, None)).unwrap());
+        let made = pool.install(|| on_sky(&rows, &short("4"), 1, &Progress::new(&watch, &Control::default())).unwrap());
         assert_eq!(last.load(Ordering::Relaxed), 10);
         made
     };
@@ -67,7 +68,7 @@ fn loop_diverged_before_the_first_image_has_an_empty_line() {
     let watch = |now: usize, _: usize| {
         done.fetch_max(now, Ordering::Relaxed);
     };
-    let made = on_sky(&[row("zonal")], &conditions, 1, &Progress::new(&watch, None)).unwrap();
+    let made = on_sky(&[row("zonal")], &conditions, 1, &Progress::new(&watch, &Control::default())).unwrap();
     // Whoever waits sees the end.
     assert_eq!(done.load(Ordering::Relaxed), 4);
     let run = made.rows[0].draws[0].run.as_ref().unwrap();
@@ -79,7 +80,7 @@ fn loop_diverged_before_the_first_image_has_an_empty_line() {
 
 #[test]
 fn more_images_reduce_the_error() {
-    let made = image_numbers(&short("10"), 1, &Progress::new(&|_, _| {}, None)).unwrap();
+    let made = image_numbers(&short("10"), 1, &Progress::new(&|_, _| {}, &Control::default())).unwrap();
     // Two loops, two ways, three combinations, 1, 2, 5 and 10 images.
     assert_eq!(made.points.len(), 2 * 2 * 3 * 4);
     for point in &made.points {
@@ -101,7 +102,7 @@ fn the_target_refuses_no_seeds_before_it_builds_anything() {
     let folder = tempfile::tempdir().unwrap();
     let options = Options { seeds: Some(0), directory: folder.path().into(), ..Options::default() };
     for target in [Target::Table, Target::Images] {
-        assert!(target.run(&options, &|_, _| {}, None).is_err());
+        assert!(target.run(&options, &|_, _| {}, &Control::default()).is_err());
     }
 }
 

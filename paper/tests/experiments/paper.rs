@@ -5,12 +5,12 @@
 //! over 24 draws: 15 % for phasing and 12 % for NCPA where noise alone is left (ours), 30 % where the modes do not span
 //! the truth (the paper's way).
 
+use cophase::Control;
 use cophase::Error;
-use cophase::optimize::CancelFlag;
 use cophase::scene::Scene;
 use cophase_paper::reproduce::{Case, Draw, Options, Progress, Target, Trial, Way, WayResult, draws, statistics};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, OnceLock};
 
 /// Draws of the preset that several tests look at.
 const SEEDS: usize = 5;
@@ -20,7 +20,7 @@ fn preset() -> Scene {
 }
 
 fn progress() -> Progress<'static> {
-    Progress::new(&|_, _| {}, None)
+    Progress::new(&|_, _| {}, &Control::default())
 }
 
 fn shared_draws() -> &'static [Draw] {
@@ -107,7 +107,7 @@ fn a_target_writes_its_files_and_counts_its_images() {
         assert!(done <= total && total == 2);
         last.fetch_max(done, Ordering::Relaxed);
     };
-    let report = Target::ArtificialSource.run(&options, &watch, None).unwrap();
+    let report = Target::ArtificialSource.run(&options, &watch, &Control::default()).unwrap();
     assert_eq!(last.load(Ordering::Relaxed), 2);
     assert!(report.text.contains("paper") && report.text.contains("ours"), "{}", report.text);
     assert_eq!(report.files.len(), std::fs::read_dir(&directory).unwrap().count());
@@ -123,9 +123,10 @@ fn a_target_writes_its_files_and_counts_its_images() {
 fn a_raised_flag_stops_every_target_and_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let options = Options { seeds: Some(1), directory: folder.path().into(), quick: true, ..Options::default() };
-    let flag: CancelFlag = Arc::new(true.into());
+    let cancelled = Control::default();
+    cancelled.cancel();
     for target in Target::ALL {
-        let stopped = target.run(&options, &|_, _| {}, Some(&flag));
+        let stopped = target.run(&options, &|_, _| {}, &cancelled);
         assert!(matches!(stopped, Err(Error::Interrupted(_))), "{target:?}");
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
@@ -140,7 +141,7 @@ fn invalid_requests_are_refused() {
     assert!(unknown.contains("figure-99") && unknown.contains("diversity"), "{unknown}");
     let folder = tempfile::tempdir().unwrap();
     let none = Options { seeds: Some(0), directory: folder.path().into(), quick: false, ..Options::default() };
-    assert!(matches!(Target::Samples.run(&none, &|_, _| {}, None), Err(Error::Value(_))));
+    assert!(matches!(Target::Samples.run(&none, &|_, _| {}, &Control::default()), Err(Error::Value(_))));
     let tilted = preset().with_override("aberrations.segment_tip_tilt_rms_nm", "5").unwrap();
     assert!(matches!(draws(&tilted, 1, &progress()), Err(Error::Scene(_))));
 }

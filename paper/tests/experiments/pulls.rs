@@ -1,5 +1,6 @@
 //! Pulls of one row on a few draws; docs/error-bars.md has the table of `cophase-paper pulls`.
 
+use cophase::Control;
 use cophase::Error;
 use cophase_paper::reproduce::{Progress, PullRow, pulls};
 
@@ -10,7 +11,7 @@ const DRAWS: usize = 8;
 fn the_error_bars_of_single_images_are_right() {
     let rows = PullRow::named(&["NCPA to Noll 18, 1 images, S/N 100".into()]).unwrap();
     assert!(rows.iter().any(|row| row.name().ends_with("S/N 100")) && rows.len() == 1, "{rows:?}");
-    let table = pulls(&rows, DRAWS, &Progress::new(&|_, _| {}, None)).unwrap();
+    let table = pulls(&rows, DRAWS, &Progress::new(&|_, _| {}, &Control::default())).unwrap();
     let [(_, draws)] = &table.0[..] else { panic!("one row was asked for") };
     assert_eq!(draws.len(), DRAWS);
     for part in [0, 1] {

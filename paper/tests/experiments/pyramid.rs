@@ -1,5 +1,6 @@
 //! The table behind a pyramid from end to end, in little: a coarse sensor, a few images, the leak of one loop.
 
+use cophase::Control;
 use cophase_paper::reproduce::{Conditions, Progress, PyramidParts, pyramid, statistics};
 
 #[test]
@@ -14,7 +15,7 @@ fn a_small_table_behind_a_pyramid_has_its_rows_and_the_leak() {
     ];
     let conditions = Conditions { settings, ..Conditions::default() };
     let parts = PyramidParts::named(&["kl".into(), "leak".into()], true).unwrap();
-    let made = pyramid(&parts, &conditions, 1, true, &Progress::new(&|_, _| {}, None)).unwrap();
+    let made = pyramid(&parts, &conditions, 1, true, &Progress::new(&|_, _| {}, &Control::default())).unwrap();
     assert_eq!((made.modal.rows.len(), made.modal.rows[0].diverged()), (1, 0));
     let reading = &made.full_phase[0][0];
     println!("{reading:?}\n{}{}", made.table().text(), made.leak.table().text());

@@ -7,9 +7,17 @@ use ndarray::{ArrayView1, ArrayView2};
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
+/// A wavefront: that of the coefficients of the model's modes, plus a free phase.
+#[derive(Clone, Copy)]
+pub struct FreeWavefront<'a, T> {
+    /// Coefficient of each mode, nm.
+    pub coefficients_nm: ArrayView1<'a, f64>,
+    /// Free phase over 2π at each illuminated sample.
+    pub turns: &'a [T],
+}
+
 impl<T: Polynomial> CpuChain<T> {
-    /// Objective and gradient of one image at `coefficients_nm` plus the free phase `free_turns` (phase over 2π) at each
-    /// illuminated sample. The gradient by the coefficients is written into `evaluation`, that by the free phase, per turn,
+    /// Objective and gradient of one image at a wavefront. The gradient by the coefficients is written into `evaluation`, that by the free phase, per turn,
     /// into `free_gradient`. Nothing is allocated.
     ///
     /// # Panics
@@ -17,19 +25,18 @@ impl<T: Polynomial> CpuChain<T> {
     pub fn evaluate_free(
         &self,
         image: &LoadedImage<T>,
-        coefficients_nm: ArrayView1<f64>,
-        free_turns: &[T],
+        at: FreeWavefront<T>,
         scratch: &mut Scratch<T>,
         evaluation: &mut Evaluation,
         free_gradient: &mut [T],
     ) {
         let illuminated = self.optics.parts().weights.illuminated.len();
         assert_eq!(
-            (free_turns.len(), free_gradient.len()),
+            (at.turns.len(), free_gradient.len()),
             (illuminated, illuminated),
             "one number per illuminated sample"
         );
-        vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
+        vectorised(ForwardFree { chain: self, at, memory: scratch });
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
         free_gradient.fill(T::zero());
         for (stages, colour) in self.colours.iter().zip(&scratch.colours) {
@@ -65,8 +72,8 @@ impl<T: Polynomial> CpuChain<T> {
             let (mut memory, mut evaluation) = (self.take_scratch(), self.evaluation());
             let turns: Vec<T> = turns.iter().map(|&turns| T::narrow(turns)).collect();
             let mut slopes = vec![T::zero(); illuminated];
-            let (image, at) = (&self.images[images[i]], coefficients_nm.row(i));
-            self.evaluate_free(image, at, &turns, &mut memory, &mut evaluation, &mut slopes);
+            let at = FreeWavefront { coefficients_nm: coefficients_nm.row(i), turns: &turns };
+            self.evaluate_free(&self.images[images[i]], at, &mut memory, &mut evaluation, &mut slopes);
             self.return_scratch(memory);
             gradient.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope.widen());
             evaluation
@@ -74,23 +81,13 @@ impl<T: Polynomial> CpuChain<T> {
         Ok(rows.enumerate().map(|(i, (turns, gradient))| one(i, turns, gradient)).collect())
     }
 
-    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at `coefficients_nm` plus the free phase, without
-    /// allocation.
+    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at a wavefront, without allocation.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_free`].
-    pub fn psf_free_in<'s>(
-        &self,
-        coefficients_nm: ArrayView1<f64>,
-        free_turns: &[T],
-        scratch: &'s mut Scratch<T>,
-    ) -> &'s [T] {
-        assert_eq!(
-            free_turns.len(),
-            self.optics.parts().weights.illuminated.len(),
-            "one number per illuminated sample"
-        );
-        vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
+    pub fn psf_free_in<'s>(&self, at: FreeWavefront<T>, scratch: &'s mut Scratch<T>) -> &'s [T] {
+        assert_eq!(at.turns.len(), self.optics.parts().weights.illuminated.len(), "one number per illuminated sample");
+        vectorised(ForwardFree { chain: self, at, memory: scratch });
         &scratch.psf
     }
 }
@@ -121,21 +118,20 @@ impl<T: Polynomial> Scratch<T> {
 }
 
 /// Forward model: coefficients and free phase to PSF.
-struct ForwardFree<'a, T: Polynomial> {
+struct ForwardFree<'a, 'w, T: Polynomial> {
     chain: &'a CpuChain<T>,
-    coefficients_nm: ArrayView1<'a, f64>,
-    free_turns: &'a [T],
+    at: FreeWavefront<'w, T>,
     memory: &'a mut Scratch<T>,
 }
 
-impl<T: Polynomial> NullaryFnOnce for ForwardFree<'_, T> {
+impl<T: Polynomial> NullaryFnOnce for ForwardFree<'_, '_, T> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let Self { chain, coefficients_nm, free_turns, memory } = self;
+        let Self { chain, at: FreeWavefront { coefficients_nm, turns }, memory } = self;
         for (stages, colour) in chain.colours.iter().zip(&mut memory.colours) {
-            stages.field.forward_free(coefficients_nm, free_turns, &mut colour.field, &mut colour.pupil);
+            stages.field.forward_free(coefficients_nm, turns, &mut colour.field, &mut colour.pupil);
         }
         chain.to_psf(memory);
     }

@@ -29,7 +29,8 @@ fn amplitudes_are_exact(optics: Arc<Optics>) {
             let (mut evaluation, mut scratch) = (chain.evaluation(), chain.scratch());
             let (mut unused, mut gradient) = (vec![0.0; illuminated], [f64::NAN; 3]);
             scratch.set_amplitudes(ln.iter().map(|ln| ln.exp()));
-            chain.evaluate_free(&image, c.view(), &free, &mut scratch, &mut evaluation, &mut unused);
+            let at = FreeWavefront { coefficients_nm: c.view(), turns: &free };
+            chain.evaluate_free(&image, at, &mut scratch, &mut evaluation, &mut unused);
             chain.amplitude_gradient(&scratch, &mut gradient);
             (evaluation.objective, gradient)
         };
@@ -67,7 +68,8 @@ fn the_gradient_in_the_free_phase_is_exact() {
         chain.set(&mut image, exposure).unwrap();
         let free: Vec<T> = free.iter().map(|&v| T::narrow(v)).collect();
         let mut gradient = vec![T::nan(); free.len()];
-        chain.evaluate_free(&image, c.view(), &free, &mut scratch, &mut evaluation, &mut gradient);
+        let at = FreeWavefront { coefficients_nm: c.view(), turns: &free };
+        chain.evaluate_free(&image, at, &mut scratch, &mut evaluation, &mut gradient);
         (evaluation, gradient.iter().map(|g| g.widen()).collect())
     }
     let one = optics(12, 14, 1.9);

@@ -1,12 +1,13 @@
 //! CPU engine: each thread fits one image after the other.
 
 use super::lane::Lane;
-use super::task::{Engine, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
+use super::task::{Engine, FitTask, ImageFit, Prepare, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{CpuChain, LoadedImage, Polynomial, Precision};
 use ndarray::ArrayView2;
 use rayon::prelude::*;
 use std::borrow::Borrow;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Fits on CPU threads, on a chain that it owns or borrows.
@@ -49,13 +50,7 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
     }
 
     /// All images on the caller's thread: no allocation, and no lock, where the lane is there.
-    fn fit_alone(
-        &mut self,
-        task: &FitTask,
-        prepare: &Prepare,
-        images: &mut [ImageFit],
-        watch: &mut Watch,
-    ) -> Result<()> {
+    fn fit_alone(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {
         let (chain, count) = (self.chain.borrow(), images.len());
         let lanes = self.lanes.get_mut().unwrap_or_else(PoisonError::into_inner);
         if lanes.is_empty() {
@@ -66,7 +61,7 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
             task.check(index, count)?;
             lane.fit(chain, task, prepare, index, image)?;
             stop_if_cancelled(image.minimum.reason, index, count)?;
-            watch(index + 1, count);
+            task.control.step(1);
         }
         Ok(())
     }
@@ -77,21 +72,17 @@ fn precision<T: Polynomial>() -> Precision {
 }
 
 impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> Engine for CpuEngine<T, C> {
-    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit], watch: &mut Watch) -> Result<()> {
+    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {
         if self.threads == Some(1) {
-            return self.fit_alone(task, prepare, images, watch);
+            return self.fit_alone(task, prepare, images);
         }
-        let count = images.len();
-        // Under one lock, so that the numbers that are reported grow.
-        let progress = Mutex::new((0, watch));
+        let (count, done) = (images.len(), AtomicUsize::new(0));
         images.par_iter_mut().with_max_len(1).enumerate().try_for_each(|(index, image)| {
-            let done = || progress.lock().unwrap_or_else(PoisonError::into_inner).0;
-            task.check(done(), count)?;
+            task.check(done.load(Ordering::Relaxed), count)?;
             self.with_lane(task, |lane| lane.fit(self.chain.borrow(), task, prepare, index, image))?;
-            stop_if_cancelled(image.minimum.reason, done(), count)?;
-            let (done, watch) = &mut *progress.lock().unwrap_or_else(PoisonError::into_inner);
-            *done += 1;
-            watch(*done, count);
+            stop_if_cancelled(image.minimum.reason, done.load(Ordering::Relaxed), count)?;
+            done.fetch_add(1, Ordering::Relaxed);
+            task.control.step(1);
             Ok(())
         })
     }

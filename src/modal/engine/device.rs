@@ -1,7 +1,7 @@
 //! Device engine: all images advance in lock-step, one batched evaluation a step, and those that are done drop out.
 
 use super::cpu::CpuEngine;
-use super::task::{Engine, FitState, FitTask, ImageFit, Prepare, Watch, interrupted, stop_if_cancelled, unusable};
+use super::task::{Engine, FitState, FitTask, ImageFit, Prepare, interrupted, stop_if_cancelled, unusable};
 use crate::imaging::{Chain, Evaluation, Exposure};
 use crate::modal::prepare::Preparer;
 use crate::modal::rejection::weigh_dead;
@@ -23,28 +23,28 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
     }
 
     /// Fits a tile of prepared images, which the device has memory for.
-    fn fit_tile(&mut self, task: &FitTask, images: &mut [&mut ImageFit], watch: &mut Watch) -> Result<()> {
+    fn fit_tile(&mut self, task: &FitTask, images: &mut [&mut ImageFit]) -> Result<()> {
         match self.chain.borrow_mut().active_chain() {
             // The device was lost before, and the CPU has taken its place.
-            Chain::Cpu32(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
-            Chain::Cpu64(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
+            Chain::Cpu32(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images),
+            Chain::Cpu64(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images),
             Chain::Device { .. } | Chain::Auto(_) | Chain::Several(_) => {
                 let exposures: Vec<&Exposure> = images.iter().map(|image| &image.prepared.exposure).collect();
                 self.chain.borrow_mut().load(&exposures)?;
-                self.lock_step(task, images, watch)
+                self.lock_step(task, images)
             }
         }
     }
 
     /// One batched evaluation a step for all images that have not converged.
-    fn lock_step(&mut self, task: &FitTask, images: &mut [&mut ImageFit], watch: &mut Watch) -> Result<()> {
+    fn lock_step(&mut self, task: &FitTask, images: &mut [&mut ImageFit]) -> Result<()> {
         let chain = self.chain.borrow_mut();
-        let settings = settings(task.model, task.recipe, chain.precision(), task.cancel);
+        let settings = settings(task.model, task.recipe, chain.precision(), task.control);
         let (count, modes) = (images.len(), task.model.optics.modes());
         let runner = |image: &&mut ImageFit| -> Result<Runner> {
             let metric = task.metrics.for_image(task.reference, &image.prepared)?;
             let mut runner = Runner::new(metric.0, task.recipe, settings.clone())?;
-            runner.begin(metric, &image.start_nm, task.deadline)?;
+            runner.begin(metric, &image.start_nm, task.control.deadline())?;
             Ok(runner)
         };
         let mut runners = images.par_iter().map(runner).collect::<Result<Vec<_>>>()?;
@@ -85,8 +85,9 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
                     stop_if_cancelled(runners[image].reason(), count - active.len(), count)?;
                 }
             }
+            let before = active.len();
             active = active.into_iter().zip(&next).filter(|(_, next)| **next != Next::Psf).map(|(i, _)| i).collect();
-            watch(count - active.len(), count);
+            task.control.step(before - active.len());
         }
         for (image, runner) in images.iter_mut().zip(&runners) {
             runner.write(&mut image.minimum);
@@ -97,7 +98,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
 }
 
 /// Fits images that are prepared.
-fn fit_on_cpu(mut engine: impl Engine, task: &FitTask, images: &mut [&mut ImageFit], watch: &mut Watch) -> Result<()> {
+fn fit_on_cpu(mut engine: impl Engine, task: &FitTask, images: &mut [&mut ImageFit]) -> Result<()> {
     let mut owned: Vec<ImageFit> = images.iter().map(|image| (**image).clone()).collect();
     let prepared: Vec<_> = owned.iter().map(|image| image.prepared.clone()).collect();
     engine.fit(
@@ -107,20 +108,19 @@ fn fit_on_cpu(mut engine: impl Engine, task: &FitTask, images: &mut [&mut ImageF
             Ok(())
         },
         &mut owned,
-        watch,
     )?;
     images.iter_mut().zip(owned).for_each(|(image, fitted)| **image = fitted);
     Ok(())
 }
 
 impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
-    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit], watch: &mut Watch) -> Result<()> {
+    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {
         let began = Instant::now();
         prepare_all(task, prepare, images);
         let (all, tile) = (images.len(), task.model.tiles().images);
         task.check(0, all)?;
         task.metrics.prepare(task.reference);
-        let is_late = task.is_late();
+        let is_late = task.control.is_late();
         let mut ready: Vec<&mut ImageFit> =
             images.iter_mut().filter(|image| !is_late && image.state == FitState::NotBegun).collect();
         if task.recipe.reject_outliers {
@@ -128,8 +128,7 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
         }
         let (count, mut done) = (ready.len(), 0);
         for images in ready.chunks_mut(tile) {
-            let mut watch = |tile_done: usize, _: usize| watch(done + tile_done, count);
-            self.fit_tile(task, images, &mut watch).map_err(|error| match error {
+            self.fit_tile(task, images).map_err(|error| match error {
                 Error::Interrupted(_) if count > tile => interrupted(done, count),
                 other => other,
             })?;

@@ -4,7 +4,7 @@ use super::cpu::CpuEngine;
 use super::device::DeviceEngine;
 use super::paper;
 use super::several;
-use super::task::{Engine, FitTask, ImageFit, Prepare, Watch};
+use super::task::{Engine, FitTask, ImageFit, Prepare};
 use crate::Result;
 use crate::imaging::Chain;
 use crate::scene::Optimizer;
@@ -18,15 +18,14 @@ pub(in crate::modal) fn fit(
     task: &FitTask,
     prepare: &Prepare,
     images: &mut [ImageFit],
-    watch: &mut Watch,
 ) -> Result<()> {
     if task.recipe.optimizer == Optimizer::Bfgs {
-        return paper::fit(chain, task, prepare, images, watch);
+        return paper::fit(chain, task, prepare, images);
     }
     match chain.active_chain() {
-        Chain::Cpu32(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
-        Chain::Cpu64(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
-        Chain::Several(group) => several::fit(group, task, prepare, images, watch),
-        device => DeviceEngine::new(device).fit(task, prepare, images, watch),
+        Chain::Cpu32(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images),
+        Chain::Cpu64(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images),
+        Chain::Several(group) => several::fit(group, task, prepare, images),
+        device => DeviceEngine::new(device).fit(task, prepare, images),
     }
 }

@@ -31,7 +31,7 @@ impl<T: Polynomial> Lane<T> {
     /// [`crate::Error::Value`] for settings out of range, or where no mode changes the image.
     pub(super) fn new(chain: &CpuChain<T>, precision: Precision, task: &FitTask) -> Result<Self> {
         let pixels = chain.optics().sampling().pixels;
-        let settings = settings(task.model, task.recipe, precision, task.cancel);
+        let settings = settings(task.model, task.recipe, precision, task.control);
         Ok(Self {
             preparer: Preparer::new(task.model.preparation),
             runner: Runner::new(task.metrics.any(task.reference)?, task.recipe, settings)?,
@@ -59,7 +59,7 @@ impl<T: Polynomial> Lane<T> {
         let began = Instant::now();
         image.seconds = 0.0;
         image.minimum.reason = StopReason::Unfinished;
-        if task.is_late() {
+        if task.control.is_late() {
             image.state = FitState::NotBegun;
             return Ok(());
         }
@@ -69,7 +69,7 @@ impl<T: Polynomial> Lane<T> {
                     weigh_dead(&mut image.prepared);
                 }
                 let metric = task.metrics.for_image(task.reference, &image.prepared)?;
-                self.runner.begin(metric, &image.start_nm, task.deadline)?;
+                self.runner.begin(metric, &image.start_nm, task.control.deadline())?;
                 self.minimize(chain, &mut image.prepared)?;
                 self.runner.write(&mut image.minimum);
                 image.state = FitState::Fitted;

@@ -12,5 +12,4 @@ mod task;
 pub(super) use cpu::CpuEngine;
 pub(super) use device::DeviceEngine;
 pub(super) use dispatch::fit;
-pub use task::Watch;
 pub(super) use task::{Engine, FitState, FitTask, ImageFit};

@@ -1,7 +1,7 @@
 //! The paper's optimiser: BFGS from zero, image by image, coefficients in radians, tolerance 1e-6 on the gradient.
 
 use super::device::prepare_all;
-use super::task::{FitState, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
+use super::task::{FitState, FitTask, ImageFit, Prepare, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{Chain, Exposure};
 use crate::modal::chi2::ReducedChi2;
@@ -15,13 +15,7 @@ use ndarray::{Array1, ArrayView1};
 /// all 2,000 evaluations; with this limit 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
 const COST_TOLERANCE: f64 = 1e-13;
 
-pub(super) fn fit(
-    chain: &mut Chain,
-    task: &FitTask,
-    prepare: &Prepare,
-    images: &mut [ImageFit],
-    watch: &mut Watch,
-) -> Result<()> {
+pub(super) fn fit(chain: &mut Chain, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {
     prepare_all(task, prepare, images);
     let mut ready: Vec<&mut ImageFit> = images.iter_mut().filter(|image| image.state == FitState::NotBegun).collect();
     let (count, mut done) = (ready.len(), 0);
@@ -38,7 +32,7 @@ pub(super) fn fit(
             stop_if_cancelled(image.minimum.reason, done, count)?;
             image.state = FitState::Fitted;
             done += 1;
-            watch(done, count);
+            task.control.step(1);
         }
     }
     Ok(())
@@ -56,7 +50,7 @@ fn minimum(
         cost_tolerance: COST_TOLERANCE,
         initial_scale: 1.0,
         max_evaluations: task.recipe.max_evaluations,
-        cancel: task.cancel.cloned(),
+        cancel: Some(task.control.flag().clone()),
     };
     let mut objective = |radians: &[f64]| -> Result<(f64, Vec<f64>)> {
         let x = Array1::from(radians.to_vec()) * nm;

@@ -4,7 +4,7 @@
 //! A fit depends on its own image alone: pieces change no result. The piece of a device that fails is fitted again by another.
 
 use super::device::DeviceEngine;
-use super::task::{Engine, FitTask, ImageFit, Prepare, Watch};
+use super::task::{Engine, FitTask, ImageFit, Prepare};
 use crate::imaging::{Chain, DeviceGroup, GroupMember};
 use crate::{Error, Result};
 use std::panic::resume_unwind;
@@ -75,17 +75,14 @@ pub(super) fn fit(
     task: &FitTask,
     prepare: &Prepare,
     images: &mut [ImageFit],
-    watch: &mut Watch,
 ) -> Result<()> {
-    let count = images.len();
-    let progress = Mutex::new(Counts { done: 0, shown: 0, count, watch });
     let mut queue = Queue::new(images, group.members_mut());
     while !queue.rest.images.is_empty() || !queue.returned.is_empty() {
         queue.speeds = group.members_mut().iter().map(|member| member.images_per_s).collect();
         let shared = Mutex::new(queue);
         let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
-            let (shared, progress) = (&shared, &progress);
-            let start = |(place, member)| scope.spawn(move || run(member, place, shared, task, prepare, progress));
+            let shared = &shared;
+            let start = |(place, member)| scope.spawn(move || run(member, place, shared, task, prepare));
             let threads: Vec<_> = group.members_mut().iter_mut().enumerate().map(start).collect();
             threads.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic))).collect()
         });
@@ -110,29 +107,22 @@ fn run(
     queue: &Mutex<Queue>,
     task: &FitTask,
     prepare: &Prepare,
-    progress: &Mutex<Counts>,
 ) -> Result<()> {
     loop {
         let taken = lock(queue).take(place);
         let Some(Piece { first, images }) = taken else { return Ok(()) };
-        let (began, mut own) = (Instant::now(), 0);
+        let began = Instant::now();
         let outcome = DeviceEngine::new(&mut member.chain).fit(
             task,
             &|index, preparer, prepared| prepare(first + index, preparer, prepared),
             images,
-            &mut |done, _| {
-                lock(progress).add(done - own);
-                own = done;
-            },
         );
         match outcome {
             Ok(()) => {
-                lock(progress).add(images.len() - own);
                 member.images_per_s = Some(images.len() as f64 / began.elapsed().as_secs_f64().max(1e-9));
                 lock(queue).speeds[place] = member.images_per_s;
             }
             Err(error) => {
-                lock(progress).done -= own;
                 let mut queue = lock(queue);
                 if matches!(error, Error::Device(_)) {
                     queue.returned.push(Piece { first, images });
@@ -148,24 +138,6 @@ fn run(
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Images that are done, and the number that was shown, which grows although a device may lose its piece.
-struct Counts<'a, 'w> {
-    done: usize,
-    shown: usize,
-    count: usize,
-    watch: &'a mut Watch<'w>,
-}
-
-impl Counts<'_, '_> {
-    fn add(&mut self, images: usize) {
-        self.done += images;
-        if self.done > self.shown {
-            self.shown = self.done;
-            (self.watch)(self.done, self.count);
-        }
-    }
 }
 
 #[cfg(all(test, debug_assertions, feature = "opencl"))]

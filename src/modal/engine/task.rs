@@ -1,48 +1,37 @@
 //! Interface of the engines: the task, one image's fit, the trait.
 
+use crate::control::Control;
 use crate::imaging::CpuChain;
 use crate::modal::metrics::Metrics;
 use crate::modal::minimum::Minimum;
 use crate::modal::model::Model;
 use crate::modal::prepare::{Preparation, PreparedFrame, Preparer, Refusal};
 use crate::modal::recipe::Recipe;
-use crate::optimize::{CancelFlag, StopReason};
+use crate::optimize::StopReason;
 use crate::{Error, Result};
 use ndarray::ArrayView2;
-use std::sync::atomic::Ordering;
-use std::time::Instant;
-
-/// Observer of progress: called with the number of images that are done, and the number of all, on a thread of the fit.
-pub type Watch<'a> = dyn FnMut(usize, usize) + Send + 'a;
 
 /// Prepares frame `index` in memory of the engine's.
 pub(in crate::modal) type Prepare<'a> =
     dyn Fn(usize, &mut Preparer, &mut PreparedFrame) -> std::result::Result<(), Refusal> + Sync + 'a;
 
 /// What all fits of a call share.
+#[derive(Clone, Copy)]
 pub(in crate::modal) struct FitTask<'a> {
     pub(in crate::modal) model: &'a Model,
     /// Reference chain (f64, CPU): metric, weights and χ² come from it for every chain that fits.
     pub(in crate::modal) reference: &'a CpuChain<f64>,
     pub(in crate::modal) metrics: &'a Metrics,
     pub(in crate::modal) recipe: &'a Recipe,
-    pub(in crate::modal) cancel: Option<&'a CancelFlag>,
-    /// When to stop, converged or not; the paper's BFGS ignores it.
-    pub(in crate::modal) deadline: Option<Instant>,
+    /// Its deadline stops fits, converged or not; the paper's BFGS ignores it.
+    pub(in crate::modal) control: &'a Control,
 }
 
 impl FitTask<'_> {
-    pub(super) fn is_late(&self) -> bool {
-        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
-    }
-
     /// # Errors
     /// [`Error::Interrupted`] where the flag is raised, after `done` of `count` images.
     pub(super) fn check(&self, done: usize, count: usize) -> Result<()> {
-        match self.cancel {
-            Some(flag) if flag.load(Ordering::Relaxed) => Err(interrupted(done, count)),
-            _ => Ok(()),
-        }
+        if self.control.is_cancelled() { Err(interrupted(done, count)) } else { Ok(()) }
     }
 }
 
@@ -104,11 +93,11 @@ impl ImageFit {
 
 /// Runs fits. Two implementations: CPU threads, and a device.
 pub(in crate::modal) trait Engine: Send {
-    /// Prepares and fits every image from its start.
+    /// Prepares and fits every image from its start; each is a step of the progress.
     ///
     /// # Errors
     /// [`Error::Interrupted`] where the flag was raised, and those of the chain.
-    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit], watch: &mut Watch) -> Result<()>;
+    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()>;
 
     /// Prepares images for [`Engine::evaluate`], with the weights that a fit begins with.
     ///

@@ -10,13 +10,12 @@ use super::super::model::Model;
 use super::super::recipe::Recipe;
 use super::normal::{Iteration, NormalEquations};
 use super::parameter::{self, FittedParameter, telescope, with_numbers};
+use crate::control::Control;
 use crate::imaging::{Chain, CpuChain, Precision};
-use crate::optimize::CancelFlag;
 use crate::scene::{Crop, Optic, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1};
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, OnceLock};
 
 /// Most iterations of fits and steps: they reach 12 % of plate scale and six degrees of rotation.
@@ -40,7 +39,7 @@ pub(super) struct Search<'a> {
     /// The modes, where all values of the parameters have the same.
     pub(super) modes: OnceLock<ModeSet>,
     pub(super) cube: Cube<'a>,
-    pub(super) cancel: Option<&'a CancelFlag>,
+    pub(super) control: Control,
 }
 
 impl Search<'_> {
@@ -195,16 +194,14 @@ impl Search<'_> {
 
     /// Fits the images with these values of the parameters, and computes the next step.
     pub(super) fn iterate(&self, values: &[f64]) -> Result<Iteration> {
-        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            return Err(Error::Interrupted("the optical parameters were not fitted yet".into()));
-        }
+        self.control.check("the optical parameters were not fitted yet")?;
         let scene = with_numbers(&self.scene, &self.parameters, values)?;
         // Far from the right parameters restarts do not help.
         let recipe = Recipe { restarts: 0, ..self.recipe.clone() };
         let modes = self.modes_of(&scene)?;
         let estimator = self.fitter(&scene, values, recipe, modes.clone())?;
         let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
-        let fitted = estimator.fit_all(&mut chain, self.cube, (None, None), self.cancel, &mut |_, _| {})?;
+        let fitted = estimator.fit_all(&mut chain, self.cube, None, None, &self.control)?;
         let perturbed = self.perturbed_models(&scene, &estimator, values, &modes)?;
         let mut equations = NormalEquations::new(self.parameters.len(), estimator.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {

@@ -12,14 +12,14 @@ use super::super::spread::Spread;
 use super::super::status::{Status, assess, unfitted_report};
 use super::super::tilts::Tilts;
 use super::options::{ImageResult, SessionOptions, write_start};
+use crate::control::Control;
 use crate::imaging::Chain;
-use crate::optimize::{CancelFlag, StopReason};
+use crate::optimize::StopReason;
 use crate::scene::Optimizer;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2};
 use std::slice::from_ref;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 /// A channel of a [`Session`](super::Session): its frames, and the fits of the last call.
@@ -43,7 +43,7 @@ struct Shared {
     recipe: Recipe,
     tilts: Tilts,
     motions: GlobalMotions,
-    cancel: CancelFlag,
+    control: Control,
 }
 
 /// Memory of a frame.
@@ -53,8 +53,8 @@ struct FrameBuffer {
 }
 
 impl SessionChannel {
-    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a second for a large model). `cancel`
-    /// is the flag of the session.
+    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a second for a large model). `control`
+    /// is that of the session.
     ///
     /// # Errors
     /// As [`Session::new`](super::Session::new).
@@ -62,7 +62,7 @@ impl SessionChannel {
         name: &str,
         estimator: Arc<ModalFitter>,
         options: &SessionOptions,
-        cancel: CancelFlag,
+        control: Control,
     ) -> Result<Self> {
         FrameBuffer::check_capacity(&estimator, options.capacity)?;
         let mut recipe = estimator.recipe.clone();
@@ -77,7 +77,7 @@ impl SessionChannel {
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
         estimator.metrics.make_all(&estimator.reference)?;
         let (tilts, motions) = (Tilts::new(&estimator.model)?, GlobalMotions::new(&estimator.model)?);
-        let shared = Shared { estimator, recipe, tilts, motions, cancel };
+        let shared = Shared { estimator, recipe, tilts, motions, control };
         let optics = shared.estimator.model.optics.clone();
         let scene = &shared.estimator.scene.estimate;
         let precision = options.precision.unwrap_or(scene.precision().into());
@@ -131,7 +131,7 @@ impl SessionChannel {
     /// Fits frames 0 to `count` − 1 from the rows of `start_nm`. An image that cannot be fitted has its status in its result.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where the cancel flag was raised; [`Error::Device`] where a device fails. Neither leaves results.
+    /// [`Error::Interrupted`] where the control was cancelled; [`Error::Device`] where a device fails. Neither leaves results.
     pub(super) fn fit(
         &mut self,
         count: usize,
@@ -143,11 +143,12 @@ impl SessionChannel {
         for (image, fit) in self.fits[..count].iter_mut().enumerate() {
             write_start(&mut fit.start_nm, start_nm.as_ref().map(|start_nm| start_nm.row(image)));
         }
-        let task = self.shared.task(deadline);
+        let control = self.shared.control.until(deadline);
+        let task = self.shared.task(&control);
         let prepare = prepare(&self.frames, &self.shared.recipe, self.shared.read_noise_e(read_noise_e));
-        let outcome = self.engine.fit(&task, &prepare, &mut self.fits[..count], &mut |_, _| {});
+        let outcome = self.engine.fit(&task, &prepare, &mut self.fits[..count]);
         if let Err(Error::Interrupted(_)) = outcome {
-            self.shared.cancel.store(false, Ordering::Relaxed);
+            self.shared.control.acknowledge();
             return Err(interrupted());
         }
         outcome?;
@@ -200,7 +201,7 @@ impl SessionChannel {
     /// As [`Session::load`](super::Session::load).
     pub(super) fn load(&mut self, count: usize, read_noise_e: Option<f64>) -> Result<()> {
         (self.fitted, self.loaded) = (0, 0);
-        let task = self.shared.task(None);
+        let task = self.shared.task(&self.shared.control);
         let prepare = prepare(&self.frames, &self.shared.recipe, self.shared.read_noise_e(read_noise_e));
         self.engine.load(&task, &prepare, &mut self.fits[..count])?;
         self.loaded = count;
@@ -242,9 +243,9 @@ impl Shared {
         self.estimator.model.optics.modes()
     }
 
-    fn task(&self, deadline: Option<Instant>) -> FitTask<'_> {
+    fn task<'a>(&'a self, control: &'a Control) -> FitTask<'a> {
         let ModalFitter { model, reference, metrics, .. } = &*self.estimator;
-        FitTask { model, reference, metrics, recipe: &self.recipe, cancel: Some(&self.cancel), deadline }
+        FitTask { model, reference, metrics, recipe: &self.recipe, control }
     }
 
     /// Read noise of a pixel: the one given, or the scene's.
@@ -259,12 +260,12 @@ impl Shared {
         Ok(match chain {
             Chain::Cpu64(chain) => {
                 let mut engine = CpuEngine::new(chain, threads);
-                engine.allocate(&self.task(None), options.capacity)?;
+                engine.allocate(&self.task(&self.control), options.capacity)?;
                 Box::new(engine)
             }
             Chain::Cpu32(chain) => {
                 let mut engine = CpuEngine::new(chain, threads);
-                engine.allocate(&self.task(None), options.capacity)?;
+                engine.allocate(&self.task(&self.control), options.capacity)?;
                 Box::new(engine)
             }
             chain => Box::new(DeviceEngine::new(chain)),

@@ -2,8 +2,8 @@
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
 use super::{Work, chi2_of, first_used, optics, pixels_of, shapes};
+use crate::control::Stage;
 use crate::modal::{self, Cube, ImageStatus, ModelCache, OpticsMinimum, OpticsStart};
-use crate::pipeline::control::Stage;
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::residual_shape::{Shape, ShapeKind};
 use crate::scene::{Optic, Scene};
@@ -172,8 +172,7 @@ impl Work<'_> {
         let images = &self.images;
         let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
         let start = OpticsStart { values: elsewhere, own_chi2: chi2_of(fitted) };
-        let flag = Some(self.control.flag());
-        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, &start, flag) {
+        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, &start, self.control) {
             Ok(minimum) => Ok(Some(minimum)),
             Err(error @ Error::Interrupted(_)) => Err(error),
             Err(_) => Ok(None),

@@ -7,7 +7,7 @@
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
 use crate::Result;
-use crate::pipeline::control::Control;
+use crate::control::Control;
 use crate::pipeline::images::Images;
 use crate::pipeline::orientation::{Poke, PokeResult, check_orientation};
 use crate::scene::{Aperture, Scene};

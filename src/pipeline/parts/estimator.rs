@@ -2,9 +2,9 @@
 
 use super::identity::identity;
 use super::{FittedPart, Part, PartFits};
+use crate::control::Stage;
 use crate::modal::FitSeries;
 use crate::pipeline::channels::{ChannelImages, Channels, by_diversity};
-use crate::pipeline::control::Stage;
 use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{Estimator, Ready, acknowledged};

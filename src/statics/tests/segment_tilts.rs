@@ -2,6 +2,7 @@
 
 use super::{KnownWavefronts, SimulatedWavefronts, run, run_with};
 use crate::ao::Simulator;
+use crate::control::Control;
 use crate::linear_algebra::SpdInverse;
 use crate::loop_response::ClosedLoopResponse;
 use crate::metrics::residual_nm;
@@ -29,7 +30,7 @@ fn estimated(
     let sequence = RetrievedSequence { wavefront_nm, reduced_chi2: vec![1.0; images], slopes_mas: Some(slopes_mas) };
     let settings = StaticsSettings { ao_knowledge, tilts, ..StaticsSettings::default() };
     let mut known = KnownWavefronts(run.samples.clone(), Some(sequence));
-    estimate_static_errors(simulator.scene(), &mut known, &settings, None).unwrap().pop().unwrap()
+    estimate_static_errors(simulator.scene(), &mut known, &settings, &Control::default()).unwrap().pop().unwrap()
 }
 
 /// Coefficients of a map of segments with pistons, tips and tilts.

@@ -3,6 +3,7 @@
 
 use super::scene;
 use crate::common::chains;
+use cophase::Control;
 use cophase::modal::{Cube, ModalFitter, Status};
 use cophase::source;
 use rand::{RngExt, SeedableRng};
@@ -40,7 +41,7 @@ fn every_chain_finds_the_estimate_of_the_double_precision_cpu() {
         let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };
         let mut judged = None;
         for (name, mut chain) in chains(&estimator, IMAGES) {
-            let found = estimator.fit_each(&mut chain, cube, None, &mut |_, _| {}).unwrap();
+            let found = estimator.fit_each(&mut chain, cube, &Control::default()).unwrap();
             for report in &found.reports {
                 assert!(!matches!(report.status, Status::NotConverged(_) | Status::Unusable(_)), "{name}: {report:?}");
                 most_evaluations = most_evaluations.max(report.evaluations);

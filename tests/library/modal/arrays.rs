@@ -2,8 +2,10 @@
 
 use super::{scene, source};
 use crate::common::assert_facts;
+use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::io::{Column, FitsWriter, Pixel};
+use cophase::modal::Cube;
 use cophase::modal::{Arrays, ModalEstimate, ModalFitter, Status};
 use cophase::pupil::Grid;
 use cophase::scene::Scene;
@@ -23,7 +25,13 @@ fn for_arrays(text: &str) -> Scene {
 fn fit(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
     let bad = images_e.mapv(|_| false);
-    estimator.estimate(&mut chain, images_e.view(), bad.view(), None, None, &mut |_, _| {}).unwrap()
+    estimator
+        .estimate(
+            &mut chain,
+            Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None },
+            &Control::default(),
+        )
+        .unwrap()
 }
 
 /// A telescope of one piece that no symmetry maps onto itself: a disc with a hole off its centre and one vane, half-grey at

@@ -7,6 +7,7 @@ mod optics;
 mod sequence;
 mod session;
 
+use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, estimate_scene};
 use cophase::scene::{Scene, System};
@@ -35,7 +36,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 fn estimate(scene: &System, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
     let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
-    estimate_scene(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
+    estimate_scene(scene, cube, &mut open, &Control::default()).unwrap()
 }
 
 /// Peak signal-to-noise ratio at which the error of this coarse model, half the noise at 500, is explained.

@@ -1,8 +1,10 @@
 //! Sequences of short exposures: a static wavefront under one that changes from image to image.
 
 use super::scene;
+use cophase::Control;
 use cophase::Error;
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::Cube;
 use cophase::modal::{ModalEstimate, ModalFitter, Recipe, Status};
 use cophase::scene::{Combine, NollRange, Scene, System};
 use cophase::source;
@@ -77,7 +79,13 @@ fn fit(recipe: Recipe, images_e: &Array3<f64>) -> (ModalFitter, ModalEstimate) {
     let estimator = ModalFitter::with_recipe(&scene(&[]), recipe, false).unwrap();
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
     let bad = images_e.mapv(|_| false);
-    let found = estimator.estimate(&mut chain, images_e.view(), bad.view(), None, None, &mut |_, _| {}).unwrap();
+    let found = estimator
+        .estimate(
+            &mut chain,
+            Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None },
+            &Control::default(),
+        )
+        .unwrap();
     (estimator, found)
 }
 

@@ -1,6 +1,7 @@
 //! A session gives what the estimator gives, and says what became of each image.
 
 use super::scene;
+use cophase::Control;
 use cophase::Error;
 use cophase::imaging::{Chain, Choice, Precision};
 use cophase::modal::{
@@ -11,7 +12,6 @@ use cophase::scene::Scene;
 use cophase::source;
 use ndarray::{Array2, Array3, Axis};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 fn estimator(scene: &Scene) -> Arc<ModalFitter> {
@@ -39,7 +39,7 @@ fn batch(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
     let bad = images_e.mapv(|_| false);
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
     let Cube { images_e, bad, .. } = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-    estimator.estimate(&mut chain, images_e, bad, None, None, &mut |_, _| {}).unwrap()
+    estimator.estimate(&mut chain, Cube { images_e, bad, read_noise_e: None }, &Control::default()).unwrap()
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
     let images_e = source::simulate(&scene).unwrap().images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
-    session.cancel_flag().store(true, Ordering::Relaxed);
+    session.control().cancel();
     assert!(matches!(session.fit(1, &FitOptions::default()), Err(Error::Interrupted(_))));
     assert!(session.results().is_empty());
     session.fit(1, &FitOptions::default()).unwrap();

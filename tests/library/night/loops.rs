@@ -1,8 +1,9 @@
 //! Dynamics of the loop: reproducibility, fitting error, lag, noise, rejection, stability.
 
 use super::system::{NO_ERRORS_NO_NOISE, NO_TURBULENCE, one_layer, residual_nm, simulator};
+use cophase::Control;
 use cophase::Error;
-use cophase::ao::{Progress, Shot, Simulator};
+use cophase::ao::{Shot, Simulator};
 
 fn borrowed(settings: &[(String, String)]) -> Vec<(&str, &str)> {
     settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect()
@@ -29,7 +30,7 @@ fn a_run_on_threads_equals_single_steps() {
     ];
     let mut shots: Vec<Shot> = Vec::new();
     let mut running = simulator(&settings);
-    let summary = running.run(&mut shots, &mut Progress::default()).unwrap();
+    let summary = running.run(&mut shots, &Control::default()).unwrap();
     // 0.05 s settling, two intervals of 0.02 s, three frames of exposure, at 1054 Hz.
     assert_eq!((summary.images, summary.frames), (3, 95 + 3));
     let mut stepping = simulator(&settings);
@@ -45,7 +46,7 @@ fn a_run_on_threads_equals_single_steps() {
     }
     assert!(last != shots[2].slopes_mas, "the last frame is not the middle of the last exposure");
     let mut again: Vec<Shot> = Vec::new();
-    simulator(&settings).run(&mut again, &mut Progress::default()).unwrap();
+    simulator(&settings).run(&mut again, &Control::default()).unwrap();
     assert!(shots.iter().zip(&again).all(|(a, b)| a.image_e == b.image_e));
 }
 
@@ -56,7 +57,7 @@ fn a_second_run_continues_after_the_first() {
         [("control.settle_s", "0.018"), ("image.count", "1"), ("image.exposure_s", "0.0"), ("image.pixels", "48")];
     let mut running = simulator(&settings);
     let mut first: Vec<Shot> = Vec::new();
-    assert_eq!(running.run(&mut first, &mut Progress::default()).unwrap().frames, 20);
+    assert_eq!(running.run(&mut first, &Control::default()).unwrap().frames, 20);
     let after = running.step().unwrap().slopes_mas.to_vec();
     let mut stepping = simulator(&settings);
     for _ in 0..20 {
@@ -72,7 +73,7 @@ fn two_runs_of_one_loop_have_independent_noise() {
     let mut running = simulator(&[NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE, &short].concat());
     let mut images = || {
         let mut shots: Vec<Shot> = Vec::new();
-        running.run(&mut shots, &mut Progress::default()).unwrap();
+        running.run(&mut shots, &Control::default()).unwrap();
         shots.remove(0).image_e
     };
     assert!(images() != images());
@@ -216,7 +217,7 @@ fn loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
         let mut simulator = simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("image.count", "3")]);
         let mut shots: Vec<Shot> = Vec::new();
         let stability = simulator.stability().clone();
-        (stability, simulator.run(&mut shots, &mut Progress::default()))
+        (stability, simulator.run(&mut shots, &Control::default()))
     };
     // Two frames of lag: λ² − λ + g = 0 leaves the unit circle at g = 1.
     let (poles, outcome) = run("1.2", "2");
@@ -247,9 +248,10 @@ fn inpainting_is_stable_for_pseudo_open_loop_slopes_only() {
 
 #[test]
 fn a_cancelled_run_returns_interrupted() {
-    let flag = std::sync::atomic::AtomicBool::new(true);
+    let control = Control::default();
+    control.cancel();
     let mut shots: Vec<Shot> = Vec::new();
-    let outcome = simulator(&[]).run(&mut shots, &mut Progress { cancel: Some(&flag), ..Progress::default() });
+    let outcome = simulator(&[]).run(&mut shots, &control);
     assert!(matches!(outcome, Err(Error::Interrupted(_))));
 }
 

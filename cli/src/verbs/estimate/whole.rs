@@ -5,7 +5,7 @@ use super::report;
 use super::summary::Summary;
 use crate::verbs::{moves, picture};
 use cophase::Result;
-use cophase::pipeline::{Control, Corrections, Estimate, Estimator, FittedPart, Images, PartFits, Policy};
+use cophase::pipeline::{Corrections, Estimate, Estimator, FittedPart, Images, PartFits, Policy};
 use cophase::scene::Scene;
 use cophase_view::files;
 use cophase_view::interrupt::Interrupt;
@@ -106,8 +106,7 @@ pub fn estimated(
 
 /// The estimator of a scene, which shows its progress on `bar` and stops at Ctrl-C.
 fn estimator(scene: &Scene, bar: &Wait, interrupt: &Interrupt) -> Result<Estimator> {
-    let control = Control::with_flag(interrupt.flag().clone(), bar.observer());
-    Estimator::with_policy(scene, Policy::default(), control)
+    Estimator::with_policy(scene, Policy::default(), interrupt.control(bar))
 }
 
 /// Writes the estimate, and its picture where one is asked for.

@@ -114,7 +114,7 @@ impl Behind {
             ncpa_nm: all.ncpa_nm.clone(),
             run: None,
         };
-        let fitted = Reader::new(Way::Paper, reader)?.fit(&sequence, &Progress::new(&|_, _| {}, progress.cancel()))?;
+        let fitted = Reader::new(Way::Paper, reader)?.fit(&sequence, &Progress::new(&|_, _| {}, progress.control()))?;
         Ok(fitted.map(|estimate| [estimate.phasing_nm, estimate.ncpa_nm]))
     }
 

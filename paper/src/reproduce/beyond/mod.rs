@@ -225,7 +225,7 @@ mod tests {
         seeds.sort_unstable();
         assert_eq!(seeds, [1, 2, 3]);
         let named = [BeyondRow::named("75 images").unwrap().clone()];
-        let quiet = Progress::new(&|_, _| {}, None);
+        let quiet = Progress::new(&|_, _| {}, &cophase::Control::default());
         let of = |part: &str| {
             let part = Some(part.parse().unwrap());
             // All draws are there: none is made.

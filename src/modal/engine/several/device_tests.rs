@@ -1,5 +1,6 @@
 //! Several devices: the same device opened twice, as two devices of one kind.
 
+use crate::control::{Control, Stage};
 use crate::device::Device;
 use crate::device::tests::test_devices;
 use crate::imaging::{Chain, DeviceGroup, Precision};
@@ -7,6 +8,7 @@ use crate::modal::{Cube, ModalFitter};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
+use std::sync::{Arc, Mutex};
 
 const IMAGES: usize = 9;
 
@@ -40,8 +42,18 @@ impl Batch {
     fn fit(&self, chain: &mut Chain) -> Result<Array2<f64>> {
         let bad = self.images_e.mapv(|_| false);
         let cube = Cube { images_e: self.images_e.view(), bad: bad.view(), read_noise_e: None };
-        let mut counts = vec![0];
-        let found = self.fitter.fit_each(chain, cube, None, &mut |done, _| counts.push(done))?;
+        let counts = Arc::new(Mutex::new(vec![0]));
+        let control = {
+            let counts = counts.clone();
+            Control::with_observer(move |progress| {
+                if progress.stage == Stage::Fitting {
+                    counts.lock().unwrap().push(progress.done);
+                }
+            })
+        };
+        control.enter(Stage::Fitting, self.images_e.dim().0);
+        let found = self.fitter.fit_each(chain, cube, &control)?;
+        let counts = counts.lock().unwrap();
         assert!(counts.is_sorted(), "{counts:?}");
         Ok(found.coefficients_nm)
     }

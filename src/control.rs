@@ -1,11 +1,14 @@
-//! Progress and cancellation of a long call: one object that the caller keeps and other threads may use.
+//! Control of a long call: its progress, its cancellation and its deadline, in one object that every level of it is given.
 
-use crate::optimize::CancelFlag;
 use crate::{Error, Result};
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
-/// Stage of an estimate.
+/// Cancel flag: set it to true to end a run. It is read once per evaluation.
+pub type CancelFlag = Arc<AtomicBool>;
+
+/// Stage of a long call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Nothing has begun.
@@ -22,10 +25,12 @@ pub enum Stage {
     Retrieving,
     /// Static errors are separated from the turbulence (MAP).
     Separating,
+    /// An AO system is simulated; `done` counts the frames of its loop.
+    Simulating,
 }
 
 impl Stage {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 8] = [
         Self::Idle,
         Self::Planning,
         Self::Preparing,
@@ -33,6 +38,7 @@ impl Stage {
         Self::Combining,
         Self::Retrieving,
         Self::Separating,
+        Self::Simulating,
     ];
 
     /// Label for a progress bar.
@@ -45,16 +51,17 @@ impl Stage {
             Self::Combining => "Computing error bars",
             Self::Retrieving => "Retrieving wavefronts",
             Self::Separating => "Separating static errors",
+            Self::Simulating => "Simulating",
         }
     }
 }
 
-/// Progress of an estimate.
+/// Progress of a long call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
     /// Current stage.
     pub stage: Stage,
-    /// Steps of this stage that are done: images, or candidates of a plan.
+    /// Steps of this stage that are done: images, candidates of a plan, frames of a loop.
     pub done: u64,
     /// Steps of this stage; 0 where the number is not known.
     pub total: u64,
@@ -64,11 +71,13 @@ pub struct Progress {
 
 type Observer = Box<dyn FnMut(Progress) + Send>;
 
-/// Progress of a call, and the flag that stops it. Clones share one state: keep one, give the other to the
-/// [`Estimator`](super::Estimator).
+/// Progress of a call, the flag that stops it, and its deadline. Clones share progress and flag: keep one, give the other
+/// to the [`Estimator`](crate::pipeline::Estimator). Without an observer no method takes a lock or memory.
 #[derive(Clone, Default)]
 pub struct Control {
     shared: Arc<Shared>,
+    deadline: Option<Instant>,
+    is_silent: bool,
 }
 
 #[derive(Default)]
@@ -78,19 +87,20 @@ struct Shared {
     done: AtomicU64,
     total: AtomicU64,
     all_done: AtomicU64,
-    observer: Mutex<Option<Observer>>,
+    observer: Option<Mutex<Observer>>,
 }
 
 impl Control {
-    /// A control that calls `observer` whenever the progress changes, on a thread of the estimate.
+    /// A control that calls `observer` whenever the progress changes, on a thread of the call.
     pub fn with_observer(observer: impl FnMut(Progress) + Send + 'static) -> Self {
         Self::with_flag(CancelFlag::default(), observer)
     }
 
     /// As [`Control::with_observer`], with a flag of the caller's, which for example a signal handler raises.
     pub fn with_flag(cancel: CancelFlag, observer: impl FnMut(Progress) + Send + 'static) -> Self {
-        let observer: Mutex<Option<Observer>> = Mutex::new(Some(Box::new(observer)));
-        Self { shared: Arc::new(Shared { cancel, observer, ..Shared::default() }) }
+        let observer: Observer = Box::new(observer);
+        let shared = Shared { cancel, observer: Some(Mutex::new(observer)), ..Shared::default() };
+        Self { shared: Arc::new(shared), ..Self::default() }
     }
 
     /// Stops the call that is running, or else the next one, at its next safe place: it returns
@@ -116,51 +126,89 @@ impl Control {
         }
     }
 
+    /// For work within a stage whose steps are not the stage's: cancelled with this control, and without progress.
+    pub(crate) fn silent(&self) -> Self {
+        Self { is_silent: true, ..self.clone() }
+    }
+
+    /// This control with another deadline.
+    pub(crate) fn until(&self, deadline: Option<Instant>) -> Self {
+        Self { deadline, ..self.clone() }
+    }
+
+    /// When to stop, with what there is by then.
+    pub(crate) fn deadline(&self) -> Option<Instant> {
+        self.deadline
+    }
+
+    /// Whether the deadline has passed.
+    pub(crate) fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+    }
+
     /// The flag itself.
     pub(crate) fn flag(&self) -> &CancelFlag {
         &self.shared.cancel
     }
 
     /// Resets the progress at the start of a call.
-    pub(super) fn reset_progress(&self) {
+    pub(crate) fn reset_progress(&self) {
         self.shared.all_done.store(0, Ordering::Relaxed);
         self.enter(Stage::Idle, 0);
     }
 
     /// Lowers the flag after a call was cancelled.
-    pub(super) fn acknowledge(&self) {
+    pub(crate) fn acknowledge(&self) {
         self.shared.cancel.store(false, Ordering::Relaxed);
     }
 
     /// A stage of `total` steps begins.
-    pub(super) fn enter(&self, stage: Stage, total: usize) {
+    pub(crate) fn enter(&self, stage: Stage, total: usize) {
         let place = Stage::ALL.iter().position(|known| *known == stage).unwrap_or_default();
-        self.shared.stage.store(place as u8, Ordering::Relaxed);
-        self.shared.done.store(0, Ordering::Relaxed);
-        self.shared.total.store(total as u64, Ordering::Relaxed);
-        self.observe();
+        self.change(|shared| {
+            shared.stage.store(place as u8, Ordering::Relaxed);
+            shared.done.store(0, Ordering::Relaxed);
+            shared.total.store(total as u64, Ordering::Relaxed);
+        });
     }
 
-    /// `done` steps of this stage are done.
-    pub(super) fn advance_to(&self, done: usize) {
-        let before = self.shared.done.swap(done as u64, Ordering::Relaxed);
-        // A smaller number starts a new count, as each iteration of a MAP estimate does.
-        let new = if (done as u64) < before { done as u64 } else { done as u64 - before };
-        self.shared.all_done.fetch_add(new, Ordering::Relaxed);
-        self.observe();
+    /// `steps` more of this stage are done. No more than all are counted: images of a device that is lost are fitted twice.
+    pub(crate) fn step(&self, steps: usize) {
+        let steps = steps as u64;
+        if steps > 0 {
+            self.change(|shared| {
+                let total = shared.total.load(Ordering::Relaxed);
+                let before = shared.done.fetch_add(steps, Ordering::Relaxed);
+                let beyond = if total == 0 { 0 } else { (before + steps).saturating_sub(total).min(steps) };
+                shared.done.fetch_sub(beyond, Ordering::Relaxed);
+                shared.all_done.fetch_add(steps - beyond, Ordering::Relaxed);
+            });
+        }
     }
 
     /// # Errors
     /// [`Error::Interrupted`] with `state`, a description of what was done by then, where the flag is raised.
-    pub(super) fn check(&self, state: &str) -> Result<()> {
-        if self.is_cancelled() { Err(Error::Interrupted(state.into())) } else { Ok(()) }
+    pub(crate) fn check(&self, state: &str) -> Result<()> {
+        self.check_with(|| state.into())
     }
 
-    fn observe(&self) {
-        let mut observer = self.shared.observer.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(observer) = observer.as_mut() {
-            observer(self.progress());
+    /// As [`Control::check`], with a description that is made where it is needed.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] where the flag is raised.
+    pub(crate) fn check_with(&self, state: impl FnOnce() -> String) -> Result<()> {
+        if self.is_cancelled() { Err(Error::Interrupted(state())) } else { Ok(()) }
+    }
+
+    /// Changes the progress under the lock of the observer, so that the numbers that it is shown grow.
+    fn change(&self, change: impl FnOnce(&Shared)) {
+        if self.is_silent {
+            return;
         }
+        let Some(observer) = &self.shared.observer else { return change(&self.shared) };
+        let mut observer = observer.lock().unwrap_or_else(PoisonError::into_inner);
+        change(&self.shared);
+        observer(self.progress());
     }
 }
 
@@ -177,8 +225,11 @@ mod tests {
         };
         let other = control.clone();
         control.enter(Stage::Fitting, 3);
-        control.advance_to(2);
-        control.advance_to(3);
+        control.step(2);
+        control.silent().enter(Stage::Combining, 0);
+        control.silent().step(1);
+        // One image of a device that was lost, again.
+        control.step(2);
         let expected = Progress { stage: Stage::Fitting, done: 3, total: 3, all_done: 3 };
         assert_eq!(other.progress(), expected);
         assert_eq!(*seen.lock().unwrap(), [(Stage::Fitting, 0), (Stage::Fitting, 2), (Stage::Fitting, 3)]);
