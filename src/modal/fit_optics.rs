@@ -17,7 +17,6 @@ mod normal;
 mod parameter;
 mod search;
 
-use super::band;
 use super::cube::Cube;
 use super::fitter::ModalFitter;
 use super::model_cache::ModelCache;
@@ -25,13 +24,9 @@ use super::recipe::Recipe;
 use crate::control::Control;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
-use ndarray::{Array2, Axis};
-use parameter::{FittedParameter, starts};
+use ndarray::Array2;
+use parameter::FittedParameter;
 use search::Search;
-use std::sync::OnceLock;
-
-/// Images that are fitted: parameters that all images share have smaller error bars than the modes of each.
-const MAX_IMAGES: usize = 6;
 
 /// Fits the optical parameters that `scene` names to the images of `cube`, and returns the fitter of the scene with them;
 /// `native` as in [`ModalFitter::new`].
@@ -47,9 +42,8 @@ pub(super) fn estimator(
     control: &Control,
 ) -> Result<ModalFitter> {
     let cache = ModelCache::default();
-    with_search(scene, recipe, &cache, cube, native, control, |search, own| {
-        Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
-    })
+    let (search, own) = Search::new(scene, recipe, &cache, cube, native, control)?;
+    Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
 }
 
 /// Least part of χ² beyond 1 that the start and the step from it must be expected to remove for a parameter to be fitted as its
@@ -74,19 +68,18 @@ pub(crate) fn explaining_fit(
     control: &Control,
 ) -> Result<Option<(ModalFitter, [f64; 2])>> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    with_search(scene, &recipe, cache, cube, false, control, |search, own| {
-        let first = search.iterate(&own)?;
-        let own_chi2 = first.reduced_chi2;
-        let elsewhere = own.iter().map(|value| factor * value).collect();
-        let start = search.better_start((own.clone(), first), elsewhere)?;
-        let removed = own_chi2 - start.1.reduced_chi2 + start.1.expected_drop;
-        // Without the reduction of the image a misfit can be within the noise.
-        if own_chi2 <= 1.0 || removed <= WORTH_FITTING * (own_chi2 - 1.0) {
-            return Ok(None);
-        }
-        let (fitter, chi2) = search.run(&own, start)?;
-        Ok(Some((fitter, [own_chi2, chi2])))
-    })
+    let (search, own) = Search::new(scene, &recipe, cache, cube, false, control)?;
+    let first = search.iterate(&own)?;
+    let own_chi2 = first.reduced_chi2;
+    let elsewhere = own.iter().map(|value| factor * value).collect();
+    let start = search.better_start((own.clone(), first), elsewhere)?;
+    let removed = own_chi2 - start.1.reduced_chi2 + start.1.expected_drop;
+    // Without the reduction of the image a misfit can be within the noise.
+    if own_chi2 <= 1.0 || removed <= WORTH_FITTING * (own_chi2 - 1.0) {
+        return Ok(None);
+    }
+    let (fitter, chi2) = search.run(&own, start)?;
+    Ok(Some((fitter, [own_chi2, chi2])))
 }
 
 /// Minimum of all optical parameters that a scene names, fitted together.
@@ -124,71 +117,24 @@ pub(crate) fn fit_together(
     control: &Control,
 ) -> Result<OpticsMinimum> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    with_search(scene, &recipe, cache, cube, false, control, |search, own| {
-        let mut elsewhere = own.clone();
-        for &(optic, value) in start.values {
-            let is_it =
-                |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of) if of.optic == optic);
-            if let Some(at) = search.parameters.iter().position(is_it) {
-                elsewhere[at] = value;
-            }
+    let (search, own) = Search::new(scene, &recipe, cache, cube, false, control)?;
+    let mut elsewhere = own.clone();
+    for &(optic, value) in start.values {
+        let is_it = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of) if of.optic == optic);
+        if let Some(at) = search.parameters.iter().position(is_it) {
+            elsewhere[at] = value;
         }
-        let (own_chi2, start) = match search.iterate(&own) {
-            Ok(first) => (first.reduced_chi2, search.better_start((own.clone(), first), elsewhere)?),
-            Err(Error::Image(_)) if elsewhere != own => {
-                let first = search.iterate(&elsewhere)?;
-                (start.own_chi2, (elsewhere, first))
-            }
-            Err(error) => return Err(error),
-        };
-        let (values, last) = search.minimum(start)?;
-        let fitter = search.fitter_at(&own, &values, &last)?;
-        let reduced_chi2 = [own_chi2, last.reduced_chi2];
-        Ok(OpticsMinimum { fitter, covariance: last.covariance, reduced_chi2, pixels: last.pixels })
-    })
-}
-
-/// Runs `search` on the parameters that `scene` names, whose values it is given.
-fn with_search<T>(
-    scene: &System,
-    recipe: &Recipe,
-    cache: &ModelCache,
-    cube: Cube,
-    native: bool,
-    control: &Control,
-    search: impl FnOnce(&Search, Vec<f64>) -> Result<T>,
-) -> Result<T> {
-    let optics = scene.estimate.fit_optics.clone();
-    let starts = starts(scene, recipe)?;
-    let parameters = starts.iter().map(|start| start.parameter).collect();
-    let (own, steps): (Vec<f64>, Vec<f64>) = starts.iter().map(|start| (start.value, start.step)).unzip();
-    let mut fixed = scene.with(|sections| sections.estimate.fit_optics.clear())?;
-    if optics.contains(&Optic::Bandwidth) && scene.estimate.wavelengths.is_none() {
-        // The same number for all widths, so that it does not change between iterations.
-        let wavelengths = band::enough_beyond(&fixed)?;
-        fixed = fixed.with(|sections| sections.estimate.wavelengths = Some(wavelengths))?;
     }
-    let recipe = recipe.clone();
-    // Another plate scale would need another reduction.
-    let native = native || optics.contains(&Optic::PlateScale);
-    let count = cube.images_e.len_of(Axis(0));
-    let fitted = MAX_IMAGES.min(count);
-    let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
-    let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
-    let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
-    let (scene_basis, modes) = (cache.basis.clone(), OnceLock::new());
-    search(
-        &Search {
-            scene: fixed,
-            parameters,
-            steps,
-            recipe,
-            native,
-            scene_basis,
-            modes,
-            cube,
-            control: control.silent(),
-        },
-        own,
-    )
+    let (own_chi2, start) = match search.iterate(&own) {
+        Ok(first) => (first.reduced_chi2, search.better_start((own.clone(), first), elsewhere)?),
+        Err(Error::Image(_)) if elsewhere != own => {
+            let first = search.iterate(&elsewhere)?;
+            (start.own_chi2, (elsewhere, first))
+        }
+        Err(error) => return Err(error),
+    };
+    let (values, last) = search.minimum(start)?;
+    let fitter = search.fitter_at(&own, &values, &last)?;
+    let reduced_chi2 = [own_chi2, last.reduced_chi2];
+    Ok(OpticsMinimum { fitter, covariance: last.covariance, reduced_chi2, pixels: last.pixels })
 }

@@ -1,5 +1,6 @@
 //! Gauss-Newton iterations of the optical parameters, each about the images' own minima.
 
+use super::super::band;
 use super::super::cube::Cube;
 use super::super::diversity_error::SharedError;
 use super::super::fitted_optic::FittedOptic;
@@ -7,17 +8,20 @@ use super::super::fitter::{ModalFitter, same_basis};
 use super::super::minimum::Minimum;
 use super::super::mode_set::{ModeSet, SceneBasis};
 use super::super::model::Model;
+use super::super::model_cache::ModelCache;
 use super::super::recipe::Recipe;
 use super::normal::{Iteration, NormalEquations};
-use super::parameter::{self, FittedParameter, telescope, with_numbers};
+use super::parameter::{self, FittedParameter, starts, telescope, with_numbers};
 use crate::control::Control;
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::scene::{Crop, Optic, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, ArrayView1};
+use ndarray::{Array1, Array3, ArrayView1, Axis};
 use std::sync::{Arc, OnceLock};
 
+/// Images that are fitted: parameters that all images share have smaller error bars than the modes of each.
+const MAX_IMAGES: usize = 6;
 /// Most iterations of fits and steps: they reach 12 % of plate scale and six degrees of rotation.
 const MAX_ITERATIONS: usize = 12;
 /// Converged where the last step is less than this fraction of the error bars.
@@ -28,21 +32,67 @@ const ROUNDING: f64 = 1e-4;
 const MAX_STEP: f64 = 10.0;
 
 /// The search, with what all iterations share.
-pub(super) struct Search<'a> {
-    pub(super) scene: System,
+pub(super) struct Search {
+    scene: System,
     pub(super) parameters: Vec<FittedParameter>,
     /// Steps of the derivatives.
-    pub(super) steps: Vec<f64>,
-    pub(super) recipe: Recipe,
-    pub(super) native: bool,
-    pub(super) scene_basis: Arc<SceneBasis>,
+    steps: Vec<f64>,
+    recipe: Recipe,
+    native: bool,
+    scene_basis: Arc<SceneBasis>,
     /// The modes, where all values of the parameters have the same.
-    pub(super) modes: OnceLock<ModeSet>,
-    pub(super) cube: Cube<'a>,
-    pub(super) control: Control,
+    modes: OnceLock<ModeSet>,
+    /// Images that are fitted, evenly from all.
+    images_e: Array3<f64>,
+    bad: Array3<bool>,
+    read_noise_e: Option<f64>,
+    control: Control,
 }
 
-impl Search<'_> {
+impl Search {
+    /// The search for the parameters that `scene` names in images of `cube`, and the scene's values of them; `native` as in
+    /// [`ModalFitter::new`].
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for parameters that the scene does not have.
+    pub(super) fn new(
+        scene: &System,
+        recipe: &Recipe,
+        cache: &ModelCache,
+        cube: Cube,
+        native: bool,
+        control: &Control,
+    ) -> Result<(Self, Vec<f64>)> {
+        let optics = &scene.estimate.fit_optics;
+        let starts = starts(scene, recipe)?;
+        let parameters = starts.iter().map(|start| start.parameter).collect();
+        let (own, steps): (Vec<f64>, Vec<f64>) = starts.iter().map(|start| (start.value, start.step)).unzip();
+        let mut fixed = scene.with(|sections| sections.estimate.fit_optics.clear())?;
+        if optics.contains(&Optic::Bandwidth) && scene.estimate.wavelengths.is_none() {
+            // The same number for all widths, so that it does not change between iterations.
+            let wavelengths = band::enough_beyond(&fixed)?;
+            fixed = fixed.with(|sections| sections.estimate.wavelengths = Some(wavelengths))?;
+        }
+        let count = cube.images_e.len_of(Axis(0));
+        let fitted = MAX_IMAGES.min(count);
+        let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
+        let search = Self {
+            scene: fixed,
+            parameters,
+            steps,
+            recipe: recipe.clone(),
+            // Another plate scale would need another reduction.
+            native: native || optics.contains(&Optic::PlateScale),
+            scene_basis: cache.basis.clone(),
+            modes: OnceLock::new(),
+            images_e: cube.images_e.select(Axis(0), &at),
+            bad: cube.bad.select(Axis(0), &at),
+            read_noise_e: cube.read_noise_e,
+            control: control.silent(),
+        };
+        Ok((search, own))
+    }
+
     /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is lower there, else `start`.
     pub(super) fn better_start(
         &self,
@@ -192,6 +242,10 @@ impl Search<'_> {
         Ok(ModalFitter { scene_basis: self.basis_of(scene), ..ModalFitter::from_model(scene, recipe, model)? })
     }
 
+    fn cube(&self) -> Cube<'_> {
+        Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e }
+    }
+
     /// Fits the images with these values of the parameters, and computes the next step.
     pub(super) fn iterate(&self, values: &[f64]) -> Result<Iteration> {
         self.control.check("the optical parameters were not fitted yet")?;
@@ -201,7 +255,7 @@ impl Search<'_> {
         let modes = self.modes_of(&scene)?;
         let estimator = self.fitter(&scene, values, recipe, modes.clone())?;
         let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
-        let fitted = estimator.fit_all(&mut chain, self.cube, None, None, &self.control)?;
+        let fitted = estimator.fit_all(&mut chain, self.cube(), None, None, &self.control)?;
         let perturbed = self.perturbed_models(&scene, &estimator, values, &modes)?;
         let mut equations = NormalEquations::new(self.parameters.len(), estimator.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {
