@@ -8,7 +8,7 @@
 //! megabyte, on one core.
 
 use cophase::Control;
-use cophase::ao::{LANES, Shot, Simulator, Stage};
+use cophase::ao::{LANES, LoopStage, Shot, Simulator};
 use cophase::scene::Scene;
 use criterion::{Bencher, Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
@@ -58,7 +58,7 @@ fn stages(criterion: &mut Criterion) {
     group.sample_size(10);
     for preset in ["keck-onsky", "tmt-onsky", "elt-onsky"] {
         let mut simulator: Option<Simulator> = None;
-        for stage in Stage::ALL {
+        for stage in LoopStage::ALL {
             let mut time = |bencher: &mut Bencher| {
                 let simulator = simulator.get_or_insert_with(|| settled(preset));
                 bencher.iter_custom(|frames| {
@@ -70,7 +70,7 @@ fn stages(criterion: &mut Criterion) {
             group.bench_function(format!("{preset} {}", stage.name()), &mut time);
         }
         if let Some(simulator) = &simulator {
-            for stage in Stage::ALL {
+            for stage in LoopStage::ALL {
                 let work = simulator.work(stage);
                 println!(
                     "{preset} {}: at least {:.2} Mflop, {:.0} kB",

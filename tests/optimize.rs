@@ -5,7 +5,7 @@ mod problems;
 
 use cophase::control::CancelFlag;
 use cophase::optimize::{
-    ArgminBfgs, Metric, Objective, Outcome, Progress, QuasiNewton, RESOLUTION_F32, Scaling, Settings, StopReason,
+    Advance, ArgminBfgs, Metric, Objective, Outcome, QuasiNewton, RESOLUTION_F32, Scaling, Settings, StopReason,
     minimize,
 };
 use cophase::{Error, Result};
@@ -158,7 +158,7 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
     let mut machine = QuasiNewton::new(metric.clone(), &vec![0.0; toy.len()], chi2_settings()).unwrap();
     let run = |toy: &Retrieval, machine: &mut QuasiNewton| loop {
         let (f, g) = toy.evaluate(machine.point());
-        if machine.advance(f, &g) == Progress::Done {
+        if machine.advance(f, &g) == Advance::Done {
             break machine.outcome().evaluations;
         }
     };
@@ -170,7 +170,7 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
     let predicted = machine.outcome().predicted_decrease;
     assert!((gained - predicted).abs() < 0.5 * predicted, "{gained} of {predicted}");
     toy.reweight(&machine.outcome().x.clone());
-    assert_eq!(machine.restart_objective(), Progress::Continue);
+    assert_eq!(machine.restart_objective(), Advance::Continue);
     // It continues from the end of the step that was too small to be worth an evaluation.
     let outcome = machine.outcome();
     let moved = machine.point().iter().zip(&outcome.x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -198,7 +198,7 @@ fn batch_in_lock_step_has_the_bits_of_single_runs() {
         // One call for all; those that are done are evaluated too, without effect.
         let answers: Vec<_> = toys.iter().zip(&batch).map(|(toy, machine)| toy.evaluate(machine.point())).collect();
         let done =
-            batch.iter_mut().zip(&answers).filter_map(|(m, (f, g))| (m.advance(*f, g) == Progress::Done).then_some(()));
+            batch.iter_mut().zip(&answers).filter_map(|(m, (f, g))| (m.advance(*f, g) == Advance::Done).then_some(()));
         if done.count() == toys.len() {
             break;
         }
@@ -222,7 +222,7 @@ fn an_optimiser_restarted_with_begin_is_bitwise_a_new_one() {
         machine.begin(&metric, 1.0, &start).unwrap();
         while {
             let (f, g) = toy.evaluate(machine.point());
-            machine.advance(f, &g) == Progress::Continue
+            machine.advance(f, &g) == Advance::Continue
         } {}
         let alone = retrieve(toy, metric.clone(), chi2_settings());
         let (x, y) = (&alone.x, &machine.outcome().x);
@@ -245,7 +245,7 @@ fn a_scale_replaces_a_scaled_metric() {
     while {
         let (f, g) = q.evaluate(machine.point());
         let g: Vec<f64> = g.iter().map(|g| 16.0 * g).collect();
-        machine.advance(16.0 * f, &g) == Progress::Continue
+        machine.advance(16.0 * f, &g) == Advance::Continue
     } {}
     // As with an exact metric: the start, the minimum, and the evaluation that confirms it.
     assert!(machine.outcome().evaluations <= 3, "{}", machine.outcome().evaluations);
@@ -259,12 +259,12 @@ fn deadline_ends_a_run_at_the_best_point_without_a_restart() {
     let settings = Settings { deadline: Some(Instant::now()), ..chi2_settings() };
     let mut machine = QuasiNewton::new(metric, &start, settings).unwrap();
     let (f, g) = toy.evaluate(machine.point());
-    assert_eq!(machine.advance(f, &g), Progress::Done);
+    assert_eq!(machine.advance(f, &g), Advance::Done);
     assert_eq!((machine.outcome().reason, machine.outcome().evaluations), (StopReason::DeadlineReached, 1));
     assert!(!machine.outcome().reason.has_converged());
-    assert_eq!(machine.restart_objective(), Progress::Done);
+    assert_eq!(machine.restart_objective(), Advance::Done);
     machine.set_deadline(None);
-    assert_eq!(machine.restart_objective(), Progress::Continue);
+    assert_eq!(machine.restart_objective(), Advance::Continue);
 }
 
 // --- The metric ------------------------------------------------------------------------------------------------
@@ -528,7 +528,7 @@ fn nothing_is_allocated_after_construction() {
         let before = ALLOCATIONS.with(Cell::get);
         let progress = machine.advance(f, &g);
         allocated += ALLOCATIONS.with(Cell::get) - before;
-        if progress == Progress::Done {
+        if progress == Advance::Done {
             break;
         }
     }

@@ -4,7 +4,7 @@ use super::aligned::AlignedBuffer;
 use super::control::{Controller, OpticalGains};
 use super::drift::Drift;
 use super::footprint::Footprint;
-use super::profile::{Profile, Stage};
+use super::profile::{LoopStage, Profile};
 use super::sensor::{GuideStar, Sensor};
 use super::surface::Surface;
 use crate::Result;
@@ -13,7 +13,7 @@ use std::time::Instant;
 
 /// State of the loop in one frame.
 #[derive(Debug, Clone, Copy)]
-pub struct Frame<'a> {
+pub struct LoopFrame<'a> {
     /// Number of the frame, from 0.
     pub number: u64,
     /// Time since the loop was closed, s.
@@ -66,25 +66,25 @@ impl CorrectionLoop {
         let moments = self.surface.correct(&self.commands_nm, &self.segments_nm, opd_nm)?;
         let mean = moments[0] / self.footprint.total();
         self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
-        let corrected = self.profile.lap(Stage::Mirror, started);
+        let corrected = self.profile.lap(LoopStage::Mirror, started);
         self.sensor.measure(opd_nm, self.light.as_mut(), &mut self.slopes_mas)?;
         self.slopes_mas.iter_mut().zip(&self.reference_mas).for_each(|(slope, reference)| *slope -= reference);
-        let measured = self.profile.lap(Stage::Sensor, corrected);
+        let measured = self.profile.lap(LoopStage::Sensor, corrected);
         self.controller.step(&self.slopes_mas)?;
         if let Some(gains) = &mut self.gains
             && gains.update(&self.slopes_mas, &self.commands_nm)
         {
             self.controller.set_optical_gains(gains.gains());
         }
-        self.profile.lap(Stage::Control, measured);
+        self.profile.lap(LoopStage::Control, measured);
         self.number += 1;
         Ok(())
     }
 
     /// The last frame; `residual_nm` is the map that [`CorrectionLoop::step`] wrote.
-    pub(super) fn last<'a>(&'a self, residual_nm: &'a [f32]) -> Frame<'a> {
+    pub(super) fn last<'a>(&'a self, residual_nm: &'a [f32]) -> LoopFrame<'a> {
         let number = self.number.saturating_sub(1);
-        Frame {
+        LoopFrame {
             number,
             time_s: number as f64 * self.frame_s,
             residual_nm,

@@ -67,7 +67,7 @@ impl Drift {
 
 #[cfg(test)]
 mod tests {
-    use crate::ao::{Frame, Recorder, Shot, Simulator, undisturb};
+    use crate::ao::{LoopFrame, Recorder, Shot, Simulator, undisturb};
     use crate::control::Control;
     use crate::scene::Scene;
     use ndarray::Array2;
@@ -81,7 +81,7 @@ mod tests {
     }
 
     impl Recorder for Ends {
-        fn frame(&mut self, frame: &Frame) -> crate::Result<()> {
+        fn frame(&mut self, frame: &LoopFrame) -> crate::Result<()> {
             if frame.number == 0 {
                 self.first_nm = frame.residual_nm.to_vec();
             }

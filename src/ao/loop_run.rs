@@ -6,7 +6,7 @@ use super::correction::CorrectionLoop;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::exposure::{ExposedWavefront, FinishedImage};
 use super::recorder::{Recorder, Shot};
-use super::schedule::{Exposure, Schedule};
+use super::schedule::{Schedule, ScheduledExposure};
 use crate::control::{Control, Stage};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -125,7 +125,7 @@ impl<'a> LoopRun<'a> {
             let shots = self.waiting.iter_mut().rev().take(exposure.channels.len());
             shots.for_each(|shot| shot.mean_slopes_mas.clone_from(&self.slopes_mas));
         }
-        let Exposure { channels, image, .. } = exposure;
+        let ScheduledExposure { channels, image, .. } = exposure;
         let (frame, residual_nm) = (self.frame, residual_nm.to_vec());
         let wavefront = ExposedWavefront { channels, image, frame, residual_nm, share, is_last };
         // The send fails only if the detector thread panicked; joining it reports the panic.
@@ -134,7 +134,7 @@ impl<'a> LoopRun<'a> {
     }
 
     /// Keeps the telemetry of the last frame for the image of each exposed channel.
-    fn record_telemetry(&mut self, residual_nm: &[f32], exposure: &Exposure) {
+    fn record_telemetry(&mut self, residual_nm: &[f32], exposure: &ScheduledExposure) {
         let frame = self.correction.last(residual_nm);
         self.waiting.extend(exposure.channels.clone().map(|channel| Shot {
             channel,

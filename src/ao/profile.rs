@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 /// A stage of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
+pub enum LoopStage {
     /// New turbulence.
     Atmosphere,
     /// The mirror's surface, the residual wavefront and its RMS.
@@ -15,17 +15,17 @@ pub enum Stage {
     Control,
 }
 
-impl Stage {
+impl LoopStage {
     /// All stages, in the order of a frame.
-    pub const ALL: [Stage; 4] = [Stage::Atmosphere, Stage::Mirror, Stage::Sensor, Stage::Control];
+    pub const ALL: [LoopStage; 4] = [LoopStage::Atmosphere, LoopStage::Mirror, LoopStage::Sensor, LoopStage::Control];
 
     /// Name of the stage, one word.
     pub fn name(self) -> &'static str {
         match self {
-            Stage::Atmosphere => "atmosphere",
-            Stage::Mirror => "mirror",
-            Stage::Sensor => "sensor",
-            Stage::Control => "control",
+            LoopStage::Atmosphere => "atmosphere",
+            LoopStage::Mirror => "mirror",
+            LoopStage::Sensor => "sensor",
+            LoopStage::Control => "control",
         }
     }
 }
@@ -33,24 +33,24 @@ impl Stage {
 /// Time spent in each stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Profile {
-    spent: [Duration; Stage::ALL.len()],
+    spent: [Duration; LoopStage::ALL.len()],
 }
 
 impl Profile {
     /// Time spent in `stage`, s.
-    pub fn seconds(&self, stage: Stage) -> f64 {
+    pub fn seconds(&self, stage: LoopStage) -> f64 {
         self.spent[stage as usize].as_secs_f64()
     }
 
     /// Adds the time since `from` to `stage`; returns the present time.
-    pub(super) fn lap(&mut self, stage: Stage, from: Instant) -> Instant {
+    pub(super) fn lap(&mut self, stage: LoopStage, from: Instant) -> Instant {
         let now = Instant::now();
         self.spent[stage as usize] += now - from;
         now
     }
 
     /// Adds time that was measured by the caller.
-    pub(super) fn add(&mut self, stage: Stage, spent: Duration) {
+    pub(super) fn add(&mut self, stage: LoopStage, spent: Duration) {
         self.spent[stage as usize] += spent;
     }
 

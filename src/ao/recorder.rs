@@ -1,6 +1,6 @@
 //! What a run gives to its caller: frames, images with their telemetry, statistics.
 
-use super::correction::Frame;
+use super::correction::LoopFrame;
 use super::divergence::Divergence;
 use super::profile::Profile;
 use crate::Result;
@@ -33,7 +33,7 @@ pub trait Recorder {
     ///
     /// # Errors
     /// An error of the implementation; it stops the run.
-    fn frame(&mut self, _frame: &Frame) -> Result<()> {
+    fn frame(&mut self, _frame: &LoopFrame) -> Result<()> {
         Ok(())
     }
 

@@ -12,7 +12,7 @@ use super::detector::Detector;
 use super::divergence::DivergenceMonitor;
 use super::exposure::DetectorThread;
 use super::loop_run::{Batch, LoopRun};
-use super::profile::Stage;
+use super::profile::LoopStage;
 use super::recorder::{Recorder, Summary};
 use super::schedule::Schedule;
 use super::simulator::{Simulator, sections};
@@ -78,7 +78,7 @@ impl Simulator {
             Ok::<_, Error>((turbulence, camera?))
         })?;
         let LoopRun { divergence, settled, square_nm2, strehl_marechal, finished, frame, .. } = run;
-        self.correction.profile.add(Stage::Atmosphere, turbulence_time);
+        self.correction.profile.add(LoopStage::Atmosphere, turbulence_time);
         Ok(Summary {
             frames: frame,
             images: finished,

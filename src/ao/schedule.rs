@@ -27,7 +27,7 @@ struct Sequence {
 
 /// One exposure of one channel, or of all where they are simultaneous.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Exposure {
+pub struct ScheduledExposure {
     /// Channels that are exposed; `0..1` for a scene without channels.
     pub channels: Range<usize>,
     /// Number of the image within each of them.
@@ -38,7 +38,7 @@ pub struct Exposure {
     pub frames: u64,
 }
 
-impl Exposure {
+impl ScheduledExposure {
     /// Index of `frame` within the exposure; `None` if it lies outside.
     pub fn place(&self, frame: u64) -> Option<u64> {
         (self.start..self.start + self.frames).contains(&frame).then(|| frame - self.start)
@@ -68,7 +68,7 @@ impl Schedule {
     }
 
     /// The exposure `number`, from 0 in the order of time; `None` after the last.
-    pub fn exposure(&self, number: usize) -> Option<Exposure> {
+    pub fn exposure(&self, number: usize) -> Option<ScheduledExposure> {
         let mut image = number;
         for sequence in &self.sequences {
             if image < sequence.images {
@@ -98,9 +98,9 @@ impl Sequence {
         Self { channels, start_s, interval_s, frames: frames as u64, images: image.count }
     }
 
-    fn exposure(&self, image: usize, rate_hz: f64) -> Exposure {
+    fn exposure(&self, image: usize, rate_hz: f64) -> ScheduledExposure {
         let start = ((self.start_s + image as f64 * self.interval_s) * rate_hz).round() as u64;
-        Exposure { channels: self.channels.clone(), image, start, frames: self.frames }
+        ScheduledExposure { channels: self.channels.clone(), image, start, frames: self.frames }
     }
 }
 
@@ -137,8 +137,12 @@ mod tests {
     fn channels_are_exposed_one_after_the_other() {
         let schedule = Schedule::new(&small(UNEQUAL, &[]), 0.02, 1000.0).unwrap();
         let exposures: Vec<_> = (0..).map_while(|number| schedule.exposure(number)).collect();
-        let expected =
-            |(channel, image, start, frames)| Exposure { channels: channel..channel + 1, image, start, frames };
+        let expected = |(channel, image, start, frames)| ScheduledExposure {
+            channels: channel..channel + 1,
+            image,
+            start,
+            frames,
+        };
         // Two single frames 10 ms apart; 10 ms after the second, exposures of 4 ms without a pause.
         let frames = [(0, 0, 20, 1), (0, 1, 30, 1), (1, 0, 40, 4), (1, 1, 44, 4), (1, 2, 48, 4)];
         assert_eq!(exposures, frames.map(expected));
@@ -151,7 +155,7 @@ mod tests {
         let scene = small("name = \"a\"\n[[image.channel]]\nname = \"b\"\n", &[("image.simultaneous", "true")]);
         let scene = scene.with_override("image.count", "2").unwrap();
         let schedule = Schedule::new(&scene, 0.02, 1000.0).unwrap();
-        assert_eq!(schedule.exposure(1), Some(Exposure { channels: 0..2, image: 1, start: 30, frames: 1 }));
+        assert_eq!(schedule.exposure(1), Some(ScheduledExposure { channels: 0..2, image: 1, start: 30, frames: 1 }));
         assert_eq!(schedule.exposure(2), None);
         for (key, value, facts) in [
             ("count", "3", "'b' has image.count = 3 | 'a' 2"),

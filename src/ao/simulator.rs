@@ -7,16 +7,16 @@
 
 use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
-use super::camera::{self, Optics, ScienceCamera, View};
+use super::camera::{self, CameraOptics, ScienceCamera, View};
 use super::channel::ChannelOptics;
 use super::control::{self, ControlLaw, OpticalGains, Stability, segment_mask};
-use super::correction::{CorrectionLoop, Frame};
+use super::correction::{CorrectionLoop, LoopFrame};
 use super::drift::Drift;
 use super::footprint::Footprint;
 use super::interaction::interaction;
 use super::measured_matrices;
 use super::parts::{actuators, apply_reflectivity, segments_nm, sensor_pupil};
-use super::profile::{Profile, Stage};
+use super::profile::{LoopStage, Profile};
 use super::schedule::Schedule;
 use super::sensor::{GuideStar, Lenslets, Sensor, SlopeFormat, reference_mas};
 use super::surface::Surface;
@@ -186,10 +186,10 @@ impl Simulator {
     ///
     /// # Errors
     /// Internal errors of the stages only.
-    pub fn step(&mut self) -> Result<Frame<'_>> {
+    pub fn step(&mut self) -> Result<LoopFrame<'_>> {
         let started = Instant::now();
         self.atmosphere.next_frame(&mut self.residual_nm)?;
-        self.correction.profile.lap(Stage::Atmosphere, started);
+        self.correction.profile.lap(LoopStage::Atmosphere, started);
         self.correction.step(&mut self.residual_nm)?;
         Ok(self.correction.last(&self.residual_nm))
     }
@@ -199,7 +199,7 @@ impl Simulator {
     ///
     /// # Errors
     /// [`Error::Shape`] for a map of another size.
-    pub fn step_with_opd(&mut self, extra_nm: &[f32]) -> Result<Frame<'_>> {
+    pub fn step_with_opd(&mut self, extra_nm: &[f32]) -> Result<LoopFrame<'_>> {
         if extra_nm.len() != self.residual_nm.len() {
             let (given, needed) = (extra_nm.len(), self.residual_nm.len());
             return Err(Error::Shape(format!("a map of {given} samples was given; {needed} are needed")));
@@ -242,7 +242,7 @@ impl Simulator {
 
     /// Builds a camera with the diversity and the filter of `channel`.
     pub(super) fn camera_of(&self, channel: &ChannelOptics, view: View) -> Result<ScienceCamera> {
-        let optics = Optics {
+        let optics = CameraOptics {
             telescope: &self.telescope,
             pupil: &self.pupil,
             footprint: &self.correction.footprint,

@@ -1,7 +1,7 @@
 //! Loop that the caller advances frame by frame, with an image of the present frame: the simulator of the C, MATLAB and
 //! Python interfaces.
 
-use super::correction::Frame;
+use super::correction::LoopFrame;
 use super::detector::Detector;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::simulator::{Simulator, sections};
@@ -56,7 +56,7 @@ impl Stepper {
     ///
     /// # Errors
     /// [`Error::Value`] before the first frame.
-    pub fn last(&self) -> Result<Frame<'_>> {
+    pub fn last(&self) -> Result<LoopFrame<'_>> {
         if self.simulator.frames() == 0 {
             return Err(Error::Value("0 frames have been simulated; at least 1 is needed: step first".into()));
         }

@@ -1,12 +1,12 @@
 //! Lower bound of the work of a frame: floating-point operations and bytes, stage by stage, to compare a profile with.
 
-use super::profile::Stage;
+use super::profile::LoopStage;
 use super::simulator::Simulator;
 use crate::scene::{Loop, SensorDetector, SensorScene};
 
 /// Least work of a stage in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Work {
+pub struct LoopWork {
     /// Additions and multiplications; a fused pair counts as two.
     pub flops: f64,
     /// Bytes read from or written to memory outside the registers, each counted once.
@@ -19,39 +19,39 @@ const PHASOR: f64 = 26.0;
 impl Simulator {
     /// Least work of a stage in a frame. For the turbulence it is that of the interpolation alone; the work of new
     /// turbulence depends on the wind.
-    pub fn work(&self, stage: Stage) -> Work {
+    pub fn work(&self, stage: LoopStage) -> LoopWork {
         let footprint = self.footprint();
         let samples: f64 = (0..footprint.samples()).map(|y| footprint.span(y).len() as f64).sum();
         let map = 4.0 * samples;
         match stage {
-            Stage::Atmosphere => {
+            LoopStage::Atmosphere => {
                 let layers = self.scene().turbulence.fractions.len() as f64;
                 // Four taps for each layer; each screen is read, the sum written.
-                Work { flops: 8.0 * layers * samples, bytes: (layers + 1.0) * map }
+                LoopWork { flops: 8.0 * layers * samples, bytes: (layers + 1.0) * map }
             }
-            Stage::Mirror => {
+            LoopStage::Mirror => {
                 let (columns, rows) = self.surface_taps();
                 // Turbulence read, residual written, amplitude and segments read; six operations for the moments.
-                Work { flops: 2.0 * (columns + rows) + 6.0 * samples, bytes: 4.0 * map + self.surface_bytes() }
+                LoopWork { flops: 2.0 * (columns + rows) + 6.0 * samples, bytes: 4.0 * map + self.surface_bytes() }
             }
-            Stage::Sensor => {
+            LoopStage::Sensor => {
                 if let Some(flops) = self.correction.sensor.pyramid_operations() {
-                    return Work { flops, bytes: 2.0 * map };
+                    return LoopWork { flops, bytes: 2.0 * map };
                 }
                 let sensing = self.scene().wavefront_sensor.as_ref();
                 let per_sample = sensing.map_or(0.0, operations_per_sample);
-                Work { flops: per_sample * samples, bytes: 2.0 * map }
+                LoopWork { flops: per_sample * samples, bytes: 2.0 * map }
             }
-            Stage::Control => {
+            LoopStage::Control => {
                 if let Some([flops, bytes]) = self.law().sparse_work() {
-                    return Work { flops, bytes };
+                    return LoopWork { flops, bytes };
                 }
                 let actuators = self.influence().len() as f64;
                 let slopes = 2.0 * self.lenslets().subapertures.len() as f64;
                 let control = self.scene().control.as_ref();
                 let full = control.is_some_and(|control| control.r#loop != Loop::Closed);
                 let inputs = slopes + if full { actuators } else { 0.0 };
-                Work { flops: 2.0 * actuators * inputs, bytes: 4.0 * actuators * inputs }
+                LoopWork { flops: 2.0 * actuators * inputs, bytes: 4.0 * actuators * inputs }
             }
         }
     }

@@ -19,7 +19,7 @@ fn cases() -> u64 {
     if std::env::var_os("COPHASE_LONG_TESTS").is_some() { 16 } else { 6 }
 }
 
-pub(super) struct Case {
+pub(super) struct AgreementCase {
     pub optics: Arc<Optics>,
     pub exposures: Vec<Exposure>,
     pub active: Vec<usize>,
@@ -57,7 +57,7 @@ fn camera(seed: u64) -> (Vec<Colour>, [PixelResponse; 2]) {
     )
 }
 
-pub(super) fn case(seed: u64) -> Case {
+pub(super) fn case(seed: u64) -> AgreementCase {
     let random = &mut ChaCha8Rng::seed_from_u64(seed);
     let (sampling, fft) = sampling(seed, random);
     let n = sampling.samples;
@@ -105,7 +105,7 @@ pub(super) fn case(seed: u64) -> Case {
     let active: Vec<usize> = (0..random.random_range(1..12)).map(|i| (i * 7 + 1) % images).collect();
     let coefficients = uniform(active.len() * optics.modes(), 120.0, random);
     let coefficients_nm = Array2::from_shape_vec((active.len(), optics.modes()), coefficients).unwrap();
-    Case { optics, exposures, active, coefficients_nm, fft }
+    AgreementCase { optics, exposures, active, coefficients_nm, fft }
 }
 
 /// A simulated image of the scene, with uneven weights and bad pixels.
@@ -141,7 +141,7 @@ pub(super) fn largest_difference(found: &[Evaluation], wanted: &[Evaluation]) ->
 }
 
 /// A random free phase of up to ±0.3 turns for each active image.
-pub(super) fn free_phase(case: &Case) -> Vec<f64> {
+pub(super) fn free_phase(case: &AgreementCase) -> Vec<f64> {
     let illuminated = case.optics.parts().weights.illuminated.len();
     uniform(case.active.len() * illuminated, 0.3, &mut ChaCha8Rng::seed_from_u64(illuminated as u64))
 }
@@ -237,7 +237,7 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
 fn wavelengths_and_pixel_areas_agree_with_cpu_in_any_batch() {
     let mut apart = [0.0f64; 2];
     for (info, seed) in test_devices().iter().flat_map(|info| [1, 2, 5].map(|seed| (info, seed))) {
-        let Case { optics, exposures, coefficients_nm, active, .. } = &case(seed);
+        let AgreementCase { optics, exposures, coefficients_nm, active, .. } = &case(seed);
         assert!(optics.colours().len() > 1 || optics.parts().pixel != [PixelResponse::POINT; 2]);
         let device = Device::open(info, false).unwrap();
         let layout = GpuLayout { free_phase: true, ..layout(optics) };

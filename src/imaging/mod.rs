@@ -30,7 +30,7 @@ pub use device_group::{DeviceGroup, GroupMember};
 pub use linear::LinearModel;
 pub use optics::{Colour, Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
-pub use work::{Shapes, Work};
+pub use work::{EvaluationWork, Shapes};
 
 #[cfg(all(test, feature = "opencl"))]
 mod agreement;

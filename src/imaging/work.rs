@@ -22,14 +22,14 @@ use crate::device::Precision;
 
 /// Operations and bytes of one evaluation of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Work {
+pub struct EvaluationWork {
     /// Additions and multiplications.
     pub flops: f64,
     /// Bytes read from and written to memory.
     pub bytes: f64,
 }
 
-/// The sizes that determine [`Work`]; the symbols are those of the table above.
+/// The sizes that determine [`EvaluationWork`]; the symbols are those of the table above.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shapes {
     /// Pupil samples a side, n.
@@ -70,7 +70,7 @@ impl Shapes {
     }
 
     /// Work of one image's objective and gradient in a batch of `batch`.
-    pub fn work(&self, precision: Precision, batch: usize) -> Work {
+    pub fn work(&self, precision: Precision, batch: usize) -> EvaluationWork {
         let counts = [self.samples, self.pixels, self.illuminated, self.entries, self.smooth, self.modes, self.colours];
         let [n, m, illuminated, entries, smooth, modes, colours] = counts.map(|count| count as f64);
         let transform = match self.fft {
@@ -80,7 +80,7 @@ impl Shapes {
         let turn = if precision == Precision::F32 { 30.0 } else { 50.0 };
         let segments = if self.tilts { entries * (16.0 + 2.0 * turn) } else { 8.0 * entries };
         let number = precision.bytes() as f64;
-        Work {
+        EvaluationWork {
             flops: colours * (transform + illuminated * (4.0 * smooth + turn + 20.0) + segments) + 30.0 * m * m,
             bytes: number * (2.0 * m * m + colours * illuminated * smooth / batch.max(1) as f64) + 16.0 * modes,
         }

@@ -33,15 +33,15 @@ impl Drop for Memory {
     }
 }
 
-/// An open file, closed when dropped. The bytes of a file being written are taken with [`Handle::into_bytes`].
-pub(super) struct Handle {
+/// An open file, closed when dropped. The bytes of a file being written are taken with [`FitsHandle::into_bytes`].
+pub(super) struct FitsHandle {
     file: *mut sys::fitsfile,
     memory: Option<Box<Memory>>,
 }
 
 // SAFETY: a handle is used by one thread at a time (no method takes `&self` concurrently: it is not `Sync`), and the
 // library is built with --enable-reentrant.
-unsafe impl Send for Handle {}
+unsafe impl Send for FitsHandle {}
 
 /// Name of files in memory, without characters that cfitsio would interpret as a filter.
 const MEMORY_NAME: &CStr = c"memory";
@@ -49,7 +49,7 @@ const MEMORY_NAME: &CStr = c"memory";
 /// Increment of the memory of a file being written: large, so that it is rarely copied.
 const GROWTH_BYTES: usize = 4 << 20;
 
-impl Handle {
+impl FitsHandle {
     /// Opens a file in standard form, read only.
     pub fn open(path: &Path) -> CfitsioResult<Self> {
         let name = CString::new(path.as_os_str().as_bytes()).map_err(|_| "the name contains a NUL".to_string())?;
@@ -247,7 +247,7 @@ impl Handle {
     }
 }
 
-impl Drop for Handle {
+impl Drop for FitsHandle {
     fn drop(&mut self) {
         if !self.file.is_null() {
             // A failure to close a file that was read or abandoned has no consequence: its message is cleared.

@@ -15,7 +15,7 @@ pub const CHANNEL: &str = "CHANNEL";
 
 /// Images as they were read, in the unit of the file.
 #[derive(Debug, Clone)]
-pub struct Images {
+pub struct HduImages {
     /// Card `CHANNEL`: the channel that they are of.
     pub channel: Option<String>,
     /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` pixels are NaN.
@@ -49,7 +49,7 @@ pub(super) fn read_hdu(
     (place, index): (usize, usize),
     marks: Option<usize>,
     mask: Option<&Path>,
-) -> Result<Images> {
+) -> Result<HduImages> {
     let data = file.cube_at(index)?;
     of_data(file, (place, index), data, marks, mask)
 }
@@ -61,7 +61,7 @@ pub(super) fn of_data(
     data: Array3<f64>,
     marks: Option<usize>,
     mask: Option<&Path>,
-) -> Result<Images> {
+) -> Result<HduImages> {
     let mut bad = Array3::from_elem(data.dim(), false);
     let mut repaired = file.repaired();
     if let Some(marks) = marks {
@@ -86,7 +86,7 @@ pub(super) fn of_data(
     };
     let hdu_name = file.name_of(index).to_string();
     let version = file.version_of(index).unwrap_or(place as i64 + 1);
-    Ok(Images {
+    Ok(HduImages {
         channel,
         data,
         bad,

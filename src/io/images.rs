@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::aot;
-use super::image_hdu::{Images, of_data, read_hdu};
+use super::image_hdu::{HduImages, of_data, read_hdu};
 use super::layout::HduKind;
 use super::mask::BADPIX;
 use super::mosaic::{self, Mosaic};
@@ -23,12 +23,12 @@ use crate::Result;
 /// # Errors
 /// [`Error::File`](crate::Error::File), with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
 /// image, neither 2-D nor 3-D, a mask of another shape, a read noise that is not a number.
-pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images> {
+pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<HduImages> {
     read_only(&mut FitsReader::open(path)?, mask)
 }
 
 /// As [`read_images`], of an open file.
-fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<Images> {
+fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<HduImages> {
     if aot::is_aot(file) {
         let mut cameras = aot::cameras(file, mask)?;
         return match (cameras.pop(), cameras.len()) {
@@ -62,7 +62,7 @@ fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<Images> {
 ///
 /// # Errors
 /// As [`read_images`].
-pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Images>> {
+pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<HduImages>> {
     let mut file = FitsReader::open(path)?;
     if aot::is_aot(&file) {
         return aot::cameras(&mut file, mask);

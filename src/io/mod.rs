@@ -44,7 +44,7 @@ pub use crate::atomic::{abandon as abandon_files, abandon_with, write as write_a
 pub use column::Column;
 pub use extension::{file_of, is_fits};
 pub use header::{AVERAGED_COADDS, COADD_TIMES, HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
-pub use image_hdu::{CHANNEL, Images};
+pub use image_hdu::{CHANNEL, HduImages};
 pub use images::{read_channels, read_images};
 pub use mask::{MOST_MARKED, read_mask};
 pub use read::{FitsReader, read_cube, read_map};

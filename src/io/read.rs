@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use ndarray::{Array2, Array3, ArrayD};
 
 use super::card;
-use super::cfitsio::{CfitsioResult, Handle};
+use super::cfitsio::{CfitsioResult, FitsHandle};
 use super::extension;
 use super::layout::{self, Hdu, HduKind, Layout};
 use super::standard;
@@ -28,7 +28,7 @@ const MAX_NAME: usize = 1000;
 /// (`.fz`), which is read as the plain one, are read from a copy in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
-    pub(super) handle: Handle,
+    pub(super) handle: FitsHandle,
     pub(super) layout: Layout,
     /// Index of the HDU that the path names in brackets.
     pub(super) selected: Option<usize>,
@@ -75,8 +75,8 @@ impl FitsReader {
         let length = source.seek(std::io::SeekFrom::End(0)).map_err(|error| format!("cannot be read: {error}"))?;
         let mut layout = layout::scan(source, length)?;
         let handle = match direct.filter(|_| layout.repairs.sentence().is_none() && !layout.holds_compressed()) {
-            Some(plain) => Handle::open(plain)?,
-            None => Handle::from_bytes(&standard::standard_file(&mut layout, source)?)?,
+            Some(plain) => FitsHandle::open(plain)?,
+            None => FitsHandle::from_bytes(&standard::standard_file(&mut layout, source)?)?,
         };
         Ok(Self { path: path.to_path_buf(), handle, layout, selected: None })
     }

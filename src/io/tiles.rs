@@ -23,7 +23,7 @@ use super::layout::Hdu;
 use super::repair::{self, Repairs};
 use crate::machine;
 use codecs::{gunzip, integers, rice, unshuffled};
-use table::{Table, integer, size};
+use table::{TileTable, integer, size};
 
 /// Most bytes that a compressed byte unpacks to: 1032 for gzip; 205 for RICE_1, whose blocks of 32 pixels of 4 bytes take 5 bits at
 /// least.
@@ -59,7 +59,7 @@ pub(super) fn declared_bytes(hdu: &Hdu) -> Option<u64> {
 /// # Errors
 /// Why it cannot be unpacked: another compression, a header that contradicts itself or the data, a damaged tile.
 pub(super) fn unpack(hdu: &Hdu, data: &[u8]) -> Result<Image, String> {
-    let table = Table::new(hdu, data)?;
+    let table = TileTable::new(hdu, data)?;
     let geometry = Geometry::new(hdu, &table)?;
     let decoder = Decoder::new(hdu, &table, geometry.bitpix)?;
     let pixel_bytes = geometry.bitpix.unsigned_abs() as usize / 8;
@@ -114,7 +114,7 @@ struct Geometry {
 }
 
 impl Geometry {
-    fn new(hdu: &Hdu, table: &Table) -> Result<Self, String> {
+    fn new(hdu: &Hdu, table: &TileTable) -> Result<Self, String> {
         let bitpix = integer(hdu, "ZBITPIX")?.unwrap_or(0);
         if !matches!(bitpix, 8 | 16 | 32 | 64 | -32 | -64) {
             return Err(format!("the card ZBITPIX is {bitpix}, where 8, 16, 32, 64, -32 or -64 is needed"));
@@ -192,7 +192,7 @@ enum Quantisation {
 
 /// Decoder of the tiles.
 struct Decoder<'a> {
-    table: &'a Table<'a>,
+    table: &'a TileTable<'a>,
     bitpix: i64,
     algorithm: Algorithm,
     quantisation: Quantisation,
@@ -204,7 +204,7 @@ struct Decoder<'a> {
 }
 
 impl<'a> Decoder<'a> {
-    fn new(hdu: &Hdu, table: &'a Table<'a>, bitpix: i64) -> Result<Self, String> {
+    fn new(hdu: &Hdu, table: &'a TileTable<'a>, bitpix: i64) -> Result<Self, String> {
         let text = |key: &str| hdu.value(key).map(card::text).unwrap_or_default().trim().to_uppercase();
         let option = |name: &str, default: i64| {
             let of_name = (1..=99).find(|n| text(&format!("ZNAME{n}")) == name);

@@ -9,7 +9,7 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use ndarray::{Array2, ArrayRef, Dimension};
 
-use super::cfitsio::Handle;
+use super::cfitsio::FitsHandle;
 use super::column::{Column, Values, ascii};
 use super::layout::name_and_version;
 use super::value::{Card, checked_keyword};
@@ -41,7 +41,7 @@ pub enum Pixel {
 /// extensions. Each HDU has its DATASUM and CHECKSUM.
 pub struct FitsWriter {
     path: PathBuf,
-    handle: Handle,
+    handle: FitsHandle,
     /// Names of the HDUs, starting with the primary HDU.
     names: Vec<String>,
 }
@@ -62,7 +62,7 @@ impl FitsWriter {
         let target = Target::new(&path)?;
         // Created and removed immediately: only `finish` leaves a file.
         target.temporary()?.discard();
-        let mut handle = Handle::create().map_err(|reason| Error::file(&path, reason))?;
+        let mut handle = FitsHandle::create().map_err(|reason| Error::file(&path, reason))?;
         // SAFETY: no axes, so none are read.
         let made = handle.call(|file, status| unsafe { sys::ffcrimll(file, 8, 0, std::ptr::null_mut(), status) });
         made.map_err(|reason| Error::file(&path, reason))?;

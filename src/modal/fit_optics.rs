@@ -26,7 +26,7 @@ use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use ndarray::Array2;
 use parameter::FittedParameter;
-use search::Search;
+use search::ParameterSearch;
 
 /// Fits the optical parameters that `scene` names to the images of `cube`, and returns the fitter of the scene with them;
 /// `native` as in [`ModalFitter::new`].
@@ -42,7 +42,7 @@ pub(super) fn estimator(
     control: &Control,
 ) -> Result<ModalFitter> {
     let cache = ModelCache::default();
-    let (search, own) = Search::new(scene, recipe, &cache, cube, native, control)?;
+    let (search, own) = ParameterSearch::new(scene, recipe, &cache, cube, native, control)?;
     Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
 }
 
@@ -68,7 +68,7 @@ pub(crate) fn explaining_fit(
     control: &Control,
 ) -> Result<Option<(ModalFitter, [f64; 2])>> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    let (search, own) = Search::new(scene, &recipe, cache, cube, false, control)?;
+    let (search, own) = ParameterSearch::new(scene, &recipe, cache, cube, false, control)?;
     let first = search.iterate(&own)?;
     let own_chi2 = first.reduced_chi2;
     let elsewhere = own.iter().map(|value| factor * value).collect();
@@ -117,7 +117,7 @@ pub(crate) fn fit_together(
     control: &Control,
 ) -> Result<OpticsMinimum> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    let (search, own) = Search::new(scene, &recipe, cache, cube, false, control)?;
+    let (search, own) = ParameterSearch::new(scene, &recipe, cache, cube, false, control)?;
     let mut elsewhere = own.clone();
     for &(optic, value) in start.values {
         let is_it = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of) if of.optic == optic);

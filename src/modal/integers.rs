@@ -24,7 +24,7 @@ mod search;
 use super::fisher::{null_floor, pseudo_inverse, without};
 use crate::Result;
 use ndarray::{Array1, Array2};
-use search::Search;
+use search::IntegerSearch;
 
 pub(super) use search::ColourChannel;
 
@@ -67,7 +67,7 @@ pub(super) fn resolve(
     if pistons < 2 {
         return Vec::new();
     }
-    let mut search = Search::new(channels, covariance_nm2, pistons, range_nm);
+    let mut search = IntegerSearch::new(channels, covariance_nm2, pistons, range_nm);
     let joint_moves = search.begin();
     let (chosen, probabilities) = search.sample(&joint_moves);
     for (channel, number) in channels.iter_mut().zip(0..) {

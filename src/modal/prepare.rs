@@ -15,7 +15,7 @@ use crate::scene::Weighting;
 use crate::{Error, Result};
 use extent::{Extent, extents_of_clean_rows};
 use ndarray::{Array2, ArrayView1, ArrayView2};
-use reduction::Reduction;
+use reduction::Decimation;
 use spikes::Spikes;
 use statistics::Statistics;
 
@@ -174,7 +174,7 @@ pub(super) struct Preparer {
     extents: Vec<Extent>,
     statistics: Statistics,
     spikes: Spikes,
-    reduction: Option<Reduction>,
+    reduction: Option<Decimation>,
 }
 
 /// A frame at the model's sampling, before it is cropped.
@@ -210,7 +210,7 @@ impl Preparer {
             extents: vec![Extent::EMPTY; shape.0.max(plan.reduced[1])],
             statistics: Statistics::with_capacity(shape.0 * shape.1),
             spikes: Spikes::new(),
-            reduction: (plan.reduced != plan.frame).then(|| Reduction::new(plan.frame, plan.reduced)),
+            reduction: (plan.reduced != plan.frame).then(|| Decimation::new(plan.frame, plan.reduced)),
         }
     }
 

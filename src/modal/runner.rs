@@ -13,7 +13,7 @@ use super::residual::{photometry, reweigh};
 use crate::Result;
 use crate::control::Control;
 use crate::imaging::{Evaluation, Precision};
-use crate::optimize::{Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings, StopReason};
+use crate::optimize::{Advance, Metric, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings, StopReason};
 use crate::scene::Weighting;
 use std::sync::Arc;
 use std::time::Instant;
@@ -121,11 +121,11 @@ impl Runner {
 
     /// Advances the fit by the objective and gradient at [`Runner::point`].
     pub(super) fn advance(&mut self, evaluation: &Evaluation) -> Next {
-        if self.solver.advance(evaluation.objective, &evaluation.gradient) == Progress::Continue {
+        if self.solver.advance(evaluation.objective, &evaluation.gradient) == Advance::Continue {
             return Next::Evaluation;
         }
         let renews = self.has_noise_weights && self.needs_new_weights() && self.reason().has_converged();
-        if renews && self.solver.restart_objective() == Progress::Continue { Next::Renewal } else { Next::Psf }
+        if renews && self.solver.restart_objective() == Advance::Continue { Next::Renewal } else { Next::Psf }
     }
 
     /// Renews the weights from the PSF at [`Runner::point`].

@@ -32,7 +32,7 @@ struct Sample {
 
 /// What follows from the point just evaluated.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Decision {
+pub(super) enum LineSearchDecision {
     /// Accept the point.
     Accept,
     /// Accept the point kept before instead.
@@ -95,24 +95,28 @@ impl LineSearch {
     }
 
     /// Processes φ and φ' at [`alpha`](Self::alpha).
-    pub fn advance(&mut self, value: f64, slope: f64) -> Decision {
+    pub fn advance(&mut self, value: f64, slope: f64) -> LineSearchDecision {
         let here = Sample { alpha: self.alpha, value, slope };
         let finite = value.is_finite() && slope.is_finite();
         if self.kept.is_some_and(|kept| !finite || value >= kept.value) {
-            return Decision::AcceptKept;
+            return LineSearchDecision::AcceptKept;
         }
         if !finite {
             return self.halve();
         }
         if self.unresolved {
-            let stop = if self.approximate_wolfe(here) { Decision::AcceptUnresolved } else { Decision::Unresolved };
+            let stop = if self.approximate_wolfe(here) {
+                LineSearchDecision::AcceptUnresolved
+            } else {
+                LineSearchDecision::Unresolved
+            };
             return stop;
         }
         if value <= self.origin.value + SUFFICIENT_DECREASE * here.alpha * self.origin.slope {
             return self.lower(here);
         }
         if self.approximate_wolfe(here) {
-            return Decision::AcceptUnresolved;
+            return LineSearchDecision::AcceptUnresolved;
         }
         self.back(here)
     }
@@ -126,15 +130,15 @@ impl LineSearch {
     }
 
     /// A point with sufficient decrease: accept it, unless φ still falls nearly as steeply as at the origin.
-    fn lower(&mut self, here: Sample) -> Decision {
+    fn lower(&mut self, here: Sample) -> LineSearchDecision {
         // An extension below the smallest factor is not worth an evaluation.
         let can_extend = self.longest >= EXTEND.0 * here.alpha;
         if here.slope >= CURVATURE * self.origin.slope || self.extensions == MOST_EXTENSIONS || !can_extend {
-            return Decision::Accept;
+            return LineSearchDecision::Accept;
         }
         // After a step back, longer steps are known to be too long.
         if self.backtracks + self.halvings > 0 {
-            return Decision::Accept;
+            return LineSearchDecision::Accept;
         }
         let before = self.kept.unwrap_or(self.origin);
         // The zero of the linearly extrapolated slope; the longest extension where the slope does not increase.
@@ -144,31 +148,31 @@ impl LineSearch {
         self.kept = Some(here);
         self.extensions += 1;
         self.alpha = alpha;
-        Decision::KeepAndTry(alpha)
+        LineSearchDecision::KeepAndTry(alpha)
     }
 
     /// A point without sufficient decrease: step back, unless the possible decrease is below the noise.
-    fn back(&mut self, here: Sample) -> Decision {
+    fn back(&mut self, here: Sample) -> LineSearchDecision {
         let alpha = self.interpolate(here);
         if -0.5 * alpha * self.origin.slope < self.noise {
-            return Decision::Unresolved;
+            return LineSearchDecision::Unresolved;
         }
         if self.backtracks == MOST_BACKTRACKS {
-            return Decision::NoDescent;
+            return LineSearchDecision::NoDescent;
         }
         self.backtracks += 1;
         self.alpha = alpha;
-        Decision::Try(alpha)
+        LineSearchDecision::Try(alpha)
     }
 
     /// A point where φ is not finite: halve the step.
-    fn halve(&mut self) -> Decision {
+    fn halve(&mut self) -> LineSearchDecision {
         if self.halvings == MOST_HALVINGS {
-            return Decision::NotFinite;
+            return LineSearchDecision::NotFinite;
         }
         self.halvings += 1;
         self.alpha *= 0.5;
-        Decision::Try(self.alpha)
+        LineSearchDecision::Try(self.alpha)
     }
 
     /// The minimum of the cubic through both values and slopes (Nocedal & Wright, eq. 3.59), safeguarded.
@@ -199,7 +203,7 @@ mod tests {
     fn the_minimum_of_a_cubic_is_found_in_one_step_back() {
         // φ = 1 − α + 2α² + α³ has its minimum where 3α² + 4α − 1 = 0, at 0.2153; φ(1) = 3, φ'(1) = 6.
         let mut search = search(0.0, false);
-        let Decision::Try(alpha) = search.advance(3.0, 6.0) else { panic!("an increase must be rejected") };
+        let LineSearchDecision::Try(alpha) = search.advance(3.0, 6.0) else { panic!("an increase must be rejected") };
         let root = (-4.0 + 28.0_f64.sqrt()) / 6.0;
         // The interpolation is exact on cubics: rounding of ten operations.
         assert!((alpha - root).abs() < 1e-14, "{alpha} instead of {root}");
@@ -208,26 +212,26 @@ mod tests {
     #[test]
     fn a_steep_descent_is_extended_and_the_lower_point_accepted() {
         let mut search = search(0.0, false);
-        assert_eq!(search.advance(0.0, -1.0), Decision::KeepAndTry(5.0));
+        assert_eq!(search.advance(0.0, -1.0), LineSearchDecision::KeepAndTry(5.0));
         assert_eq!(search.kept_alpha(), Some(1.0));
-        assert_eq!(search.advance(f64::NAN, 0.0), Decision::AcceptKept);
+        assert_eq!(search.advance(f64::NAN, 0.0), LineSearchDecision::AcceptKept);
     }
 
     #[test]
     fn without_finite_values_the_search_halves_and_then_stops() {
         let mut search = search(0.0, false);
-        assert_eq!(search.advance(f64::INFINITY, 0.0), Decision::Try(0.5));
-        assert_eq!(search.advance(0.0, f64::NAN), Decision::Try(0.25));
+        assert_eq!(search.advance(f64::INFINITY, 0.0), LineSearchDecision::Try(0.5));
+        assert_eq!(search.advance(0.0, f64::NAN), LineSearchDecision::Try(0.25));
         let decisions: Vec<_> = (0..40).map(|_| search.advance(f64::NAN, f64::NAN)).collect();
-        assert_eq!(decisions.iter().position(|v| *v == Decision::NotFinite), Some(MOST_HALVINGS - 2));
+        assert_eq!(decisions.iter().position(|v| *v == LineSearchDecision::NotFinite), Some(MOST_HALVINGS - 2));
     }
 
     #[test]
     fn below_the_resolution_the_slope_decides() {
-        assert_eq!(search(1e-3, true).advance(1.0005, 0.1), Decision::AcceptUnresolved);
-        assert_eq!(search(1e-3, true).advance(1.0005, 0.9), Decision::Unresolved);
-        assert_eq!(search(1e-3, true).advance(1.0015, 0.1), Decision::Unresolved);
+        assert_eq!(search(1e-3, true).advance(1.0005, 0.1), LineSearchDecision::AcceptUnresolved);
+        assert_eq!(search(1e-3, true).advance(1.0005, 0.9), LineSearchDecision::Unresolved);
+        assert_eq!(search(1e-3, true).advance(1.0015, 0.1), LineSearchDecision::Unresolved);
         // Without noise the same point is an increase, and the search steps back.
-        assert!(matches!(search(0.0, false).advance(1.0005, 0.1), Decision::Try(_)));
+        assert!(matches!(search(0.0, false).advance(1.0005, 0.1), LineSearchDecision::Try(_)));
     }
 }

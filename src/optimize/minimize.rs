@@ -3,7 +3,7 @@
 use super::metric::Metric;
 use super::outcome::Outcome;
 use super::problem::{Objective, check_gradient};
-use super::quasi_newton::{Progress, QuasiNewton};
+use super::quasi_newton::{Advance, QuasiNewton};
 use super::settings::Settings;
 use crate::Result;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub fn minimize(problem: &mut Objective, metric: Arc<Metric>, start: &[f64], set
     loop {
         let (f, gradient) = problem(optimizer.point())?;
         check_gradient(&gradient, start.len())?;
-        if optimizer.advance(f, &gradient) == Progress::Done {
+        if optimizer.advance(f, &gradient) == Advance::Done {
             return Ok(optimizer.into_outcome());
         }
     }

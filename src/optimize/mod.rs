@@ -21,6 +21,6 @@ pub use metric::Metric;
 pub use minimize::minimize;
 pub use outcome::{Outcome, StopReason};
 pub use problem::Objective;
-pub use quasi_newton::{Progress, QuasiNewton};
+pub use quasi_newton::{Advance, QuasiNewton};
 pub use reference::ArgminBfgs;
 pub use settings::{RESOLUTION_F32, RESOLUTION_F64, Scaling, Settings};

@@ -1,6 +1,6 @@
 //! Limited-memory BFGS in whitened coordinates, with a reverse communication interface.
 
-use super::line_search::{Decision, LineSearch};
+use super::line_search::{LineSearch, LineSearchDecision};
 use super::metric::Metric;
 use super::outcome::{Outcome, StopReason};
 use super::pairs::{Pairs, dot, scale_by};
@@ -16,7 +16,7 @@ const WHITENED_INVERSE_CURVATURE: f64 = 0.5;
 /// Whether the run continues.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
-pub enum Progress {
+pub enum Advance {
     /// Evaluate the objective at [`QuasiNewton::point`].
     Continue,
     /// The run has ended: see [`QuasiNewton::outcome`].
@@ -35,7 +35,7 @@ enum Phase {
 }
 
 /// L-BFGS with a reverse communication interface: evaluate the objective and its gradient at [`point`](Self::point) and pass
-/// both to [`advance`](Self::advance), until that returns [`Progress::Done`]. All arithmetic is f64 and depends on this problem
+/// both to [`advance`](Self::advance), until that returns [`Advance::Done`]. All arithmetic is f64 and depends on this problem
 /// only, so problems in lock-step give bitwise the same results as one by one. Nothing is allocated after construction;
 /// [`begin`](Self::begin) starts another problem of the same size in the same memory.
 #[derive(Debug, Clone)]
@@ -167,20 +167,20 @@ impl QuasiNewton {
         before_a_step && self.outcome.proposed_step <= self.settings.max_step
     }
 
-    /// The point to evaluate, in the caller's coordinates. After [`Progress::Done`]: the best point.
+    /// The point to evaluate, in the caller's coordinates. After [`Advance::Done`]: the best point.
     pub fn point(&self) -> &[f64] {
         &self.trial_x
     }
 
     /// Processes the objective `f` and its gradient `gradient`, in the caller's coordinates, at [`point`](Self::point), and sets
-    /// the next point. Values that are not finite are allowed. After [`Progress::Done`] it has no effect.
+    /// the next point. Values that are not finite are allowed. After [`Advance::Done`] it has no effect.
     ///
     /// # Panics
     /// If `gradient` is not as long as the starting point.
-    pub fn advance(&mut self, f: f64, gradient: &[f64]) -> Progress {
+    pub fn advance(&mut self, f: f64, gradient: &[f64]) -> Advance {
         assert_eq!(gradient.len(), self.trial_x.len(), "length of the gradient");
         if self.phase == Phase::Done {
-            return Progress::Done;
+            return Advance::Done;
         }
         self.outcome.evaluations += 1;
         let finite = f.is_finite() && gradient.iter().all(|g| g.is_finite());
@@ -197,7 +197,7 @@ impl QuasiNewton {
         };
         match stop.or_else(|| self.limit_reached()) {
             Some(reason) => self.finish(reason),
-            None => Progress::Continue,
+            None => Advance::Continue,
         }
     }
 
@@ -214,15 +214,15 @@ impl QuasiNewton {
         }
     }
 
-    /// The iterate, and after [`Progress::Done`] the reason of the end.
+    /// The iterate, and after [`Advance::Done`] the reason of the end.
     pub fn outcome(&self) -> &Outcome {
         &self.outcome
     }
 
     /// Continues after a small change of the objective (of its weights, for instance): keeps the curvature and starts from
     /// the best point, or, where the run stopped because the next step was too small, from the end of that step, which
-    /// costs no additional evaluation. The evaluations are counted on; [`Progress::Done`] if a limit is reached.
-    pub fn restart_objective(&mut self) -> Progress {
+    /// costs no additional evaluation. The evaluations are counted on; [`Advance::Done`] if a limit is reached.
+    pub fn restart_objective(&mut self) -> Advance {
         if self.phase == Phase::Searching {
             self.adopt_kept();
         }
@@ -237,38 +237,38 @@ impl QuasiNewton {
         self.outcome.reason = StopReason::Unfinished;
         self.phase = Phase::Iterate;
         self.memory_reset = false;
-        Progress::Continue
+        Advance::Continue
     }
 
     /// Processes a point of the line search; returns the reason if the run ends.
     fn search_step(&mut self, f: f64, gradient: &[f64]) -> Option<StopReason> {
         let slope = dot(&self.trial_gradient_z, &self.direction_z);
         match self.search.advance(f, slope) {
-            Decision::Try(alpha) => self.set_trial(alpha),
-            Decision::KeepAndTry(alpha) => {
+            LineSearchDecision::Try(alpha) => self.set_trial(alpha),
+            LineSearchDecision::KeepAndTry(alpha) => {
                 self.kept_f = f;
                 self.kept_gradient_x.copy_from_slice(gradient);
                 std::mem::swap(&mut self.kept_gradient_z, &mut self.trial_gradient_z);
                 self.set_trial(alpha);
             }
-            Decision::Accept => {
+            LineSearchDecision::Accept => {
                 self.store_pair(self.search.alpha());
                 self.adopt_trial(f, gradient);
                 self.memory_reset = false;
                 return self.follow_new_direction();
             }
-            Decision::AcceptKept => {
+            LineSearchDecision::AcceptKept => {
                 self.adopt_kept();
                 self.memory_reset = false;
                 return self.follow_new_direction();
             }
-            Decision::AcceptUnresolved => {
+            LineSearchDecision::AcceptUnresolved => {
                 self.adopt_trial(f, gradient);
                 return Some(StopReason::ResolutionReached);
             }
-            Decision::Unresolved => return Some(StopReason::ResolutionReached),
-            Decision::NotFinite => return Some(StopReason::NotFinite),
-            Decision::NoDescent => {
+            LineSearchDecision::Unresolved => return Some(StopReason::ResolutionReached),
+            LineSearchDecision::NotFinite => return Some(StopReason::NotFinite),
+            LineSearchDecision::NoDescent => {
                 // The pairs may be misleading: once, try the direction without them.
                 if self.memory_reset || self.pairs.is_empty() {
                     return Some(StopReason::NoDescent);
@@ -386,7 +386,7 @@ impl QuasiNewton {
         self.outcome
     }
 
-    fn finish(&mut self, reason: StopReason) -> Progress {
+    fn finish(&mut self, reason: StopReason) -> Advance {
         let early = matches!(reason, StopReason::Cancelled | StopReason::EvaluationLimit | StopReason::DeadlineReached);
         if self.phase == Phase::Searching && early {
             self.adopt_kept();
@@ -394,6 +394,6 @@ impl QuasiNewton {
         self.trial_x.copy_from_slice(&self.outcome.x);
         self.outcome.reason = reason;
         self.phase = Phase::Done;
-        Progress::Done
+        Advance::Done
     }
 }

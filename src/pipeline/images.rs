@@ -373,7 +373,7 @@ fn moved_reference(file: &mut FitsReader) -> Result<Option<Array1<f64>>> {
 
 /// Telemetry of the images `read` in a file, if it has any: of a file of AOT that of their times; else, where the file has the images of
 /// several channels, that with their EXTVER.
-fn slopes(file: &mut FitsReader, read: &io::Images) -> Result<MatchedSlopes> {
+fn slopes(file: &mut FitsReader, read: &io::HduImages) -> Result<MatchedSlopes> {
     if io::aot::is_aot(file) {
         return io::aot::slopes(file, usize::try_from(read.version - 1).unwrap_or(0), read.data.dim().0);
     }

@@ -6,8 +6,8 @@
 //! A joint estimate is a mean of those of the channels whose weights add up to 1 for each mode, so that its error from the models is
 //! about as large as theirs at most.
 
-use super::plan::{Choice, FoundPlan};
-use super::search::Search;
+use super::plan::{FoundPlan, TriedValue};
+use super::search::PlanSearch;
 use super::trial::{joint_price, recipe};
 use crate::control::Control;
 use crate::modal::{ModalFitter, has_diversity};
@@ -23,9 +23,9 @@ pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<
     refuse_focus(scene)?;
     let drawn = scene.channels().iter().map(|channel| with_small_pistons(scene, &channel.system));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
-    let searches = drawn.iter().map(|own| Search::new(own, budget_nm, control));
+    let searches = drawn.iter().map(|own| PlanSearch::new(own, budget_nm, control));
     let mut searches = searches.collect::<Result<Vec<_>>>()?;
-    let references = searches.iter().map(Search::reference).collect::<Result<Vec<_>>>()?;
+    let references = searches.iter().map(PlanSearch::reference).collect::<Result<Vec<_>>>()?;
     let pairs: Vec<_> =
         references.iter().zip(&searches).map(|(one, search)| (&one.estimator, &search.trials)).collect();
     let reference = joint_price(scene, &pairs, control)?;
@@ -50,7 +50,7 @@ pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<
         let of_plan = planned.channels().iter().find(|own| own.name == channel.name);
         choices.extend(plan.choices.into_iter().map(|choice| {
             let kept = of_plan.is_some_and(|own| has_value(&own.system, &choice));
-            Choice { channel: name.clone(), kept, ..choice }
+            TriedValue { channel: name.clone(), kept, ..choice }
         }));
         let own = plan.omissions.into_iter();
         omissions.extend(own.map(|omission| super::Omission { channel: name.clone(), ..omission }));
@@ -92,7 +92,7 @@ fn with_small_pistons(scene: &System, own: &System) -> Result<System> {
 }
 
 /// Whether the plan has the value of a choice.
-fn has_value(planned: &System, choice: &Choice) -> bool {
+fn has_value(planned: &System, choice: &TriedValue) -> bool {
     let (estimate, image) = (&planned.estimate, &planned.image);
     let value = match (choice.key, image.crop_pixels) {
         ("estimate.samples", _) => estimate.samples.map(|samples| samples.to_string()),

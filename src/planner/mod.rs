@@ -17,7 +17,7 @@ mod search;
 mod trial;
 
 pub use omission::Omission;
-pub use plan::{Choice, Plan};
+pub use plan::{Plan, TriedValue};
 pub use price::Price;
 
 use crate::control::{Control, Stage};
@@ -41,7 +41,7 @@ pub fn plan(scene: &Scene, budget_nm: f64, control: &Control) -> Result<Plan> {
     // The plan has no budget: a scene with one would be planned again.
     let given = scene.changed(|sections| sections.estimate.budget_nm = None)?;
     let found = if given.channels().is_empty() {
-        search::Search::new(&given, budget_nm, control)?.run()?
+        search::PlanSearch::new(&given, budget_nm, control)?.run()?
     } else {
         channels::plan(&given, budget_nm, control)?
     };

@@ -18,7 +18,7 @@ pub struct Plan {
     /// The model of the plan.
     pub chosen: Price,
     /// Choices that were tried, in order.
-    pub choices: Vec<Choice>,
+    pub choices: Vec<TriedValue>,
     /// Effects that are not modelled, or modelled and perhaps not needed.
     pub omissions: Vec<Omission>,
     /// Number of wavefronts that were drawn.
@@ -31,13 +31,13 @@ pub(super) struct FoundPlan {
     pub(super) system: System,
     pub(super) reference: Price,
     pub(super) chosen: Price,
-    pub(super) choices: Vec<Choice>,
+    pub(super) choices: Vec<TriedValue>,
     pub(super) omissions: Vec<Omission>,
 }
 
 /// One value of one key that was tried.
 #[derive(Debug, Clone)]
-pub struct Choice {
+pub struct TriedValue {
     /// Name of the channel whose images it was tried on; `None` for a scene without channels.
     pub channel: Option<String>,
     /// `section.key`.

@@ -1,7 +1,7 @@
 //! Search for the cheapest model within the budget: one key after the other, each from the cheapest value on.
 
 use super::omission::omissions;
-use super::plan::{Choice, FoundPlan};
+use super::plan::{FoundPlan, TriedValue};
 use super::price::{Limit, Price};
 use super::trial::{Trials, recipe};
 use crate::control::Control;
@@ -38,15 +38,15 @@ pub(super) struct Candidate {
 }
 
 /// State of the search.
-pub(super) struct Search<'a> {
+pub(super) struct PlanSearch<'a> {
     given: &'a System,
     budget_nm: f64,
     control: &'a Control,
     pub(super) trials: Trials,
-    choices: Vec<Choice>,
+    choices: Vec<TriedValue>,
 }
 
-impl<'a> Search<'a> {
+impl<'a> PlanSearch<'a> {
     pub(super) fn new(scene: &'a System, budget_nm: f64, control: &'a Control) -> Result<Self> {
         if scene.estimate.optimizer != Optimizer::GaussNewton {
             return Err(Error::Scene(
@@ -239,7 +239,7 @@ impl<'a> Search<'a> {
     }
 
     fn note(&mut self, key: &'static str, value: String, price: Price) {
-        self.choices.push(Choice { channel: None, key, value, kept: false, price });
+        self.choices.push(TriedValue { channel: None, key, value, kept: false, price });
     }
 
     /// Marks the value of `key` that is kept.

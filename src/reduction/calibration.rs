@@ -1,6 +1,6 @@
 //! Calibration of a frame: dark, flat, bad pixels, gain.
 
-use super::frame::Frame;
+use super::frame::RawFrame;
 use super::log::LogRow;
 use super::masters::{self, Dark, Flat};
 use crate::io::{HeaderFact, PixelUnit, Quantity};
@@ -23,7 +23,7 @@ pub struct ReductionOptions {
 pub(super) struct Calibrated<'a> {
     /// Its place among the frames.
     pub(super) index: usize,
-    pub(super) frame: &'a Frame,
+    pub(super) frame: &'a RawFrame,
     /// `[y, x]`, NaN where it is bad.
     pub(super) electrons: Array2<f64>,
     /// Electrons per count.
@@ -50,7 +50,7 @@ impl Calibrated<'_> {
 }
 
 /// Masters and masks of a detector.
-pub(super) struct Calibration<'a> {
+pub(super) struct DetectorCalibration<'a> {
     options: &'a ReductionOptions,
     pub(super) darks: Vec<Dark>,
     bad_in_darks: Vec<Array2<bool>>,
@@ -60,9 +60,9 @@ pub(super) struct Calibration<'a> {
     pub(super) warnings: Vec<String>,
 }
 
-impl<'a> Calibration<'a> {
+impl<'a> DetectorCalibration<'a> {
     /// Masters of `frames`, whose rows say what was made of them.
-    pub(super) fn new(frames: &[Frame], options: &'a ReductionOptions, rows: &mut [LogRow]) -> Self {
+    pub(super) fn new(frames: &[RawFrame], options: &'a ReductionOptions, rows: &mut [LogRow]) -> Self {
         let mut warnings = Vec::new();
         let darks = masters::darks(frames, rows);
         let flats = masters::flats(frames, &darks, rows, &mut warnings);
@@ -72,7 +72,7 @@ impl<'a> Calibration<'a> {
     }
 
     /// A frame in electrons.
-    pub(super) fn calibrate<'f>(&mut self, index: usize, frame: &'f Frame, scene: &Scene) -> Result<Calibrated<'f>> {
+    pub(super) fn calibrate<'f>(&mut self, index: usize, frame: &'f RawFrame, scene: &Scene) -> Result<Calibrated<'f>> {
         let gain = self.gain(frame, scene)?;
         let mut counts = frame.data.clone();
         let mut bad = frame.bad.clone();
@@ -99,7 +99,7 @@ impl<'a> Calibration<'a> {
     }
 
     /// Flat of the filter of a frame, or the only one.
-    fn flat_of(&mut self, frame: &Frame) -> Option<usize> {
+    fn flat_of(&mut self, frame: &RawFrame) -> Option<usize> {
         let filter = frame.header.filter.clone().unwrap_or_default();
         let own = self.flats.iter().position(|flat| flat.filter == filter);
         if own.is_some() || self.flats.is_empty() {
@@ -116,7 +116,7 @@ impl<'a> Calibration<'a> {
     }
 
     /// Electrons per count of a frame; 1 for one in electrons.
-    pub(super) fn gain(&self, frame: &Frame, scene: &Scene) -> Result<f64> {
+    pub(super) fn gain(&self, frame: &RawFrame, scene: &Scene) -> Result<f64> {
         let key = "image.gain_e_per_adu";
         let named = scene.image.gain_e_per_adu;
         let about = |reason: String| Error::Image(format!("{}: {reason}", frame.name));
@@ -156,7 +156,7 @@ impl<'a> Calibration<'a> {
 }
 
 /// Read noise of one coadd that the scene or a card states, electrons RMS.
-pub(super) fn stated_read_noise_e(frame: &Frame, scene: &Scene) -> Option<f64> {
+pub(super) fn stated_read_noise_e(frame: &RawFrame, scene: &Scene) -> Option<f64> {
     let stated = frame.header.facts.iter().find(|fact| fact.quantity == Quantity::ReadNoiseE);
     scene.image.read_noise_e.or_else(|| stated?.values.first().copied())
 }

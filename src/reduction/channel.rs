@@ -1,12 +1,12 @@
 //! Channel that a frame of the star belongs to.
 
-use super::frame::Frame;
+use super::frame::RawFrame;
 use crate::agreement::Compared;
 use crate::io::{HeaderFact, Quantity};
 use crate::scene::Scene;
 
 /// Channel that a frame belongs to, by its place; the reason where it belongs to none.
-pub(super) fn channel_of(frame: &Frame, scene: &Scene, overrides: &[String]) -> std::result::Result<usize, String> {
+pub(super) fn channel_of(frame: &RawFrame, scene: &Scene, overrides: &[String]) -> std::result::Result<usize, String> {
     let channels = scene.channels();
     let scene_of = |channel: usize| channels.get(channel).map_or(scene, |channel| &channel.scene);
     let disagrees = |channel: usize| contradiction(frame, scene_of(channel), overrides);
@@ -35,7 +35,7 @@ pub(super) fn channel_of(frame: &Frame, scene: &Scene, overrides: &[String]) -> 
 
 /// How the cards of a frame contradict a scene, in what an estimate compares with the images that are made of it: noise and gain are the
 /// reduction's own.
-fn contradiction(frame: &Frame, scene: &Scene, overrides: &[String]) -> Option<String> {
+fn contradiction(frame: &RawFrame, scene: &Scene, overrides: &[String]) -> Option<String> {
     let quantities = [Quantity::WavelengthNm, Quantity::BandNm, Quantity::PixelMas, Quantity::ExposureS];
     quantities.into_iter().find_map(|quantity| {
         let compared = Compared::new(scene, quantity)?;

@@ -48,7 +48,7 @@ const ANGLES: [&str; 6] = ["PARANG", "PARANTEL", "ROTPOSN", "ROTPPOSN", "ROTANGL
 
 /// Raw frame of a detector.
 #[derive(Debug, Clone)]
-pub struct Frame {
+pub struct RawFrame {
     /// Name in the log: that of the file, with the number of the plane in a cube.
     pub name: String,
     /// What it shows.
@@ -71,7 +71,7 @@ pub struct Frame {
     pub remarks: Vec<String>,
 }
 
-impl Frame {
+impl RawFrame {
     /// Reads `path`: one frame, or those of a cube. `class` is theirs, whatever the header says; `None` for the header's. The card `turn_card`
     /// has the angle of the pupil.
     ///

@@ -1,7 +1,7 @@
 //! Log of a reduction: one row for each frame.
 
 use super::classify::FrameClass;
-use super::frame::Frame;
+use super::frame::RawFrame;
 use crate::Result;
 use crate::io::{Column, FitsWriter};
 
@@ -57,7 +57,7 @@ impl LogRow {
     }
 
     /// Row of a frame that nothing is known of yet.
-    pub(super) fn of(frame: &Frame) -> Self {
+    pub(super) fn of(frame: &RawFrame) -> Self {
         Self {
             class: frame.class,
             channel: frame.channel.clone().unwrap_or_default(),

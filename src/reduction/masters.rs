@@ -1,7 +1,7 @@
 //! Master darks and flats, and the bad pixels that they show.
 
 use super::classify::FrameClass;
-use super::frame::{Frame, FrameHeader};
+use super::frame::{FrameHeader, RawFrame};
 use super::log::LogRow;
 use super::noise::{clipped_scatter, median_variance, scatter};
 use crate::statistics::median;
@@ -50,7 +50,7 @@ pub(super) fn median_of(frames: &[Array2<f64>]) -> Array2<f64> {
 }
 
 /// A frame over its coadds, NaN where it is bad.
-pub(super) fn of_one_coadd(frame: &Frame) -> Array2<f64> {
+pub(super) fn of_one_coadd(frame: &RawFrame) -> Array2<f64> {
     let mut counts = &frame.data / frame.coadds();
     Zip::from(&mut counts).and(&frame.bad).for_each(|counts, bad| {
         if *bad {
@@ -61,7 +61,7 @@ pub(super) fn of_one_coadd(frame: &Frame) -> Array2<f64> {
 }
 
 /// The darks, one for each integration time and read mode.
-pub(super) fn darks(frames: &[Frame], rows: &mut [LogRow]) -> Vec<Dark> {
+pub(super) fn darks(frames: &[RawFrame], rows: &mut [LogRow]) -> Vec<Dark> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (index, frame) in frames.iter().enumerate().filter(|(_, frame)| frame.class == FrameClass::Dark) {
         if !rows[index].reason.is_empty() {
@@ -88,7 +88,7 @@ pub(super) fn darks(frames: &[Frame], rows: &mut [LogRow]) -> Vec<Dark> {
 
 /// The dark that belongs to a frame: of its integration time and read mode. The counts of coadds are summed, so the number of coadds
 /// may differ; the bias of a detector, which does not grow with time, forbids to scale the time.
-pub(super) fn dark_of<'a>(darks: &'a [Dark], frame: &Frame) -> Option<&'a Dark> {
+pub(super) fn dark_of<'a>(darks: &'a [Dark], frame: &RawFrame) -> Option<&'a Dark> {
     darks.iter().find(|dark| dark.header.has_exposure_of(&frame.header))
 }
 
@@ -98,8 +98,8 @@ pub(super) fn exposures(darks: &[Dark]) -> String {
 }
 
 /// The flats, one for each filter, with warnings. The dark signal of a flat is that of frames with the lamp off, else a dark's.
-pub(super) fn flats(frames: &[Frame], darks: &[Dark], rows: &mut [LogRow], warnings: &mut Vec<String>) -> Vec<Flat> {
-    let filter = |frame: &Frame| frame.header.filter.clone().unwrap_or_default();
+pub(super) fn flats(frames: &[RawFrame], darks: &[Dark], rows: &mut [LogRow], warnings: &mut Vec<String>) -> Vec<Flat> {
+    let filter = |frame: &RawFrame| frame.header.filter.clone().unwrap_or_default();
     let with = |class: FrameClass| frames.iter().enumerate().filter(move |(_, frame)| frame.class == class);
     let mut made: Vec<(String, Vec<Array2<f64>>)> = Vec::new();
     let mut without_dark = 0;
@@ -107,7 +107,7 @@ pub(super) fn flats(frames: &[Frame], darks: &[Dark], rows: &mut [LogRow], warni
         if !rows[index].reason.is_empty() {
             continue;
         }
-        let is_its_own = |other: &&(usize, &Frame)| {
+        let is_its_own = |other: &&(usize, &RawFrame)| {
             filter(other.1) == filter(frame) && other.1.header.has_exposure_of(&frame.header)
         };
         let off: Vec<usize> =

@@ -9,7 +9,7 @@
 //! with the gain `g`, the dark of one coadd `D`, the flat `F` (median 1) and the sky `S` scaled to the exposure. What remains of
 //! the raw frame's noise beside the photon noise of the star is one number per channel, the card `RON_E`: `noise.rs`.
 //!
-//! * [`Frame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
+//! * [`RawFrame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
 //! * [`reduce`] makes masters (`masters`), finds the star (`star`, `found`), subtracts the sky (`sky`), cuts out, and rejects.
 //! * [`first_scene`] writes the scene to begin with.
 //! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
@@ -40,7 +40,7 @@ pub use calibration::ReductionOptions;
 pub use classify::FrameClass;
 pub use files::{Pattern, list_files};
 pub use first_scene::first_scene;
-pub use frame::{ChannelRule, Frame, FrameHeader};
+pub use frame::{ChannelRule, FrameHeader, RawFrame};
 pub use log::LogRow;
 pub use read::read_frames;
 pub use reduce::reduce;

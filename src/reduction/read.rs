@@ -1,7 +1,7 @@
 //! Reading of many frames.
 
 use super::classify::FrameClass;
-use super::frame::{ChannelRule, Frame, file_name};
+use super::frame::{ChannelRule, RawFrame, file_name};
 use super::log::LogRow;
 use super::pupil_turns;
 use crate::Error;
@@ -13,11 +13,11 @@ pub fn read_frames(
     files: &[(PathBuf, Option<FrameClass>)],
     rules: &[ChannelRule],
     turn_card: Option<&str>,
-) -> (Vec<Frame>, Vec<LogRow>) {
+) -> (Vec<RawFrame>, Vec<LogRow>) {
     let turn_card = turn_card.map(|card| pupil_turns::card_and_sense(card).0);
     let (mut frames, mut rejected) = (Vec::new(), Vec::new());
     for (path, class) in files {
-        match Frame::read(path, *class, rules, turn_card) {
+        match RawFrame::read(path, *class, rules, turn_card) {
             Ok(read) => frames.extend(read),
             Err(Error::File { reason, .. }) => rejected.push(LogRow::unreadable(file_name(path), reason)),
             Err(other) => rejected.push(LogRow::unreadable(file_name(path), other.to_string())),

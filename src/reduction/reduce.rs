@@ -1,9 +1,9 @@
 //! The reduction: masters, star, sky, cut-out, rejection.
 
-use super::calibration::{Calibrated, Calibration, ReductionOptions, stated_read_noise_e};
+use super::calibration::{Calibrated, DetectorCalibration, ReductionOptions, stated_read_noise_e};
 use super::channel::channel_of;
 use super::classify::FrameClass;
-use super::frame::Frame;
+use super::frame::RawFrame;
 use super::log::LogRow;
 use super::noise::{NoiseTerms, scatter};
 use super::pupil_turns;
@@ -30,18 +30,18 @@ struct Image {
 /// # Errors
 /// [`Error::Image`] where no frame of the star is left, or one of a channel; for counts without a gain or with two; for frames of another
 /// shape than the mask; [`Error::Value`] where the memory does not hold the frames.
-pub fn reduce(scene: &Scene, frames: &[Frame], options: &ReductionOptions) -> Result<Reduction> {
-    let is_averaged = |frame: &Frame| scene.image.coadds_are_averaged || frame.header.has_averaged_coadds;
+pub fn reduce(scene: &Scene, frames: &[RawFrame], options: &ReductionOptions) -> Result<Reduction> {
+    let is_averaged = |frame: &RawFrame| scene.image.coadds_are_averaged || frame.header.has_averaged_coadds;
     if frames.iter().any(is_averaged) {
-        let summed = |frame: &Frame| if is_averaged(frame) { frame.with_summed_coadds() } else { frame.clone() };
-        let summed: Vec<Frame> = frames.iter().map(summed).collect();
+        let summed = |frame: &RawFrame| if is_averaged(frame) { frame.with_summed_coadds() } else { frame.clone() };
+        let summed: Vec<RawFrame> = frames.iter().map(summed).collect();
         return Reducer::new(scene, &summed, options)?.run();
     }
     Reducer::new(scene, frames, options)?.run()
 }
 
 /// The sentences on files that `of` gives, each once, with the number of frames that it is said of.
-fn said_once(frames: &[Frame], of: fn(&Frame) -> &[String]) -> Vec<String> {
+fn said_once(frames: &[RawFrame], of: fn(&RawFrame) -> &[String]) -> Vec<String> {
     let mut said: Vec<(&str, usize)> = Vec::new();
     for sentence in frames.iter().flat_map(of) {
         match said.iter_mut().find(|(known, _)| known == sentence) {
@@ -56,14 +56,14 @@ fn said_once(frames: &[Frame], of: fn(&Frame) -> &[String]) -> Vec<String> {
 
 struct Reducer<'a> {
     scene: &'a Scene,
-    frames: &'a [Frame],
+    frames: &'a [RawFrame],
     options: &'a ReductionOptions,
     rows: Vec<LogRow>,
-    calibration: Calibration<'a>,
+    calibration: DetectorCalibration<'a>,
 }
 
 impl<'a> Reducer<'a> {
-    fn new(scene: &'a Scene, frames: &'a [Frame], options: &'a ReductionOptions) -> Result<Self> {
+    fn new(scene: &'a Scene, frames: &'a [RawFrame], options: &'a ReductionOptions) -> Result<Self> {
         let mut rows: Vec<LogRow> = frames.iter().map(LogRow::of).collect();
         let shape = reject_other_shapes(frames, &mut rows)?;
         if let Some(bad) = options.bad.as_ref().filter(|bad| bad.dim() != shape) {
@@ -73,7 +73,7 @@ impl<'a> Reducer<'a> {
         // Each frame in electrons, and a copy of it without hot pixels with two tables of sums while its star is looked for.
         let bytes = (frames.len() + 4) as u64 * (shape.0 * shape.1) as u64 * 8;
         machine::check_memory(format_args!("{} frames", frames.len()), bytes, "reduce fewer frames at once")?;
-        let calibration = Calibration::new(frames, options, &mut rows);
+        let calibration = DetectorCalibration::new(frames, options, &mut rows);
         Ok(Self { scene, frames, options, rows, calibration })
     }
 
@@ -113,7 +113,7 @@ impl<'a> Reducer<'a> {
     }
 
     /// Channel of a frame, or the reason why it is of none.
-    fn channel_of(&self, frame: &Frame) -> std::result::Result<usize, String> {
+    fn channel_of(&self, frame: &RawFrame) -> std::result::Result<usize, String> {
         let channel = channel_of(frame, self.scene, &self.options.overrides)?;
         pupil_turns::check(frame, self.scene_of(channel)).map(|()| channel)
     }
@@ -328,7 +328,7 @@ fn corners(image: &Array2<f64>) -> impl Iterator<Item = f64> + '_ {
 }
 
 /// Rejects the frames of another shape than most frames of the star, and gives that shape.
-fn reject_other_shapes(frames: &[Frame], rows: &mut [LogRow]) -> Result<(usize, usize)> {
+fn reject_other_shapes(frames: &[RawFrame], rows: &mut [LogRow]) -> Result<(usize, usize)> {
     let shapes: Vec<_> =
         frames.iter().filter(|frame| frame.class == FrameClass::Star).map(|frame| frame.data.dim()).collect();
     let count = |shape: &(usize, usize)| shapes.iter().filter(|other| *other == shape).count();

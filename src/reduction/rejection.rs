@@ -1,7 +1,7 @@
 //! Frames that are not used, and why.
 
 use super::cut_out::CutOut;
-use super::frame::Frame;
+use super::frame::RawFrame;
 use super::log::LogRow;
 use super::star::Spot;
 use crate::statistics::{NORMAL_MEDIAN_DEVIATION, median};
@@ -72,7 +72,7 @@ pub(super) fn faint(own_e: f64, mut alike: Vec<f64>) -> Option<String> {
 
 /// Largest value of one coadd in a cut-out, in the unit of the file, and why the frame is saturated.
 pub(super) fn saturation(
-    frame: &Frame,
+    frame: &RawFrame,
     bad: &Array2<bool>,
     part: CutOut,
     saturation_adu: Option<f64>,

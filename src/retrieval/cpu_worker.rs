@@ -2,13 +2,13 @@
 
 use super::results::RetrievedImage;
 use super::task::KnownOfImage;
-use super::workspace::{ThreadBuffers, Workspace};
+use super::workspace::{RetrievalWorkspace, ThreadBuffers};
 use crate::Result;
 use crate::imaging::Polynomial;
 use crate::modal::PreparedFrame;
-use crate::optimize::Progress;
+use crate::optimize::Advance;
 
-impl<T: Polynomial> Workspace<T> {
+impl<T: Polynomial> RetrievalWorkspace<T> {
     /// Retrieves the wavefront of one image on this thread. `check_cancel` is called before each evaluation: an image of a large telescope
     /// takes seconds.
     ///
@@ -32,7 +32,7 @@ impl<T: Polynomial> Workspace<T> {
             model.chain.evaluate_free(loaded, optimisation.wavefront(), scratch, evaluation, turns_bar);
             let amplitude_gradient = |gradient: &mut [f64]| model.chain.amplitude_gradient(scratch, gradient);
             let progress = optimisation.advance(model, evaluation, turns_bar, amplitude_gradient, preconditioner)?;
-            if progress == Progress::Done {
+            if progress == Advance::Done {
                 break;
             }
         }

@@ -7,10 +7,10 @@ use super::optimisation::MapOptimisation;
 use super::results::RetrievedImage;
 use super::settings::RetrievalSettings;
 use super::task::RetrievalTask;
-use super::workspace::Workspace;
+use super::workspace::RetrievalWorkspace;
 use crate::imaging::{Chain, Evaluation, Exposure, Polynomial};
 use crate::modal::PreparedFrame;
-use crate::optimize::Progress;
+use crate::optimize::Advance;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
@@ -39,7 +39,7 @@ struct Lane<T: Polynomial> {
 
 impl DeviceBatch {
     /// Size of the batch for `images`: an optimisation has some twenty vectors of as many numbers as it has unknowns.
-    fn size<T: Polynomial>(workspace: &Workspace<T>, images: usize) -> usize {
+    fn size<T: Polynomial>(workspace: &RetrievalWorkspace<T>, images: usize) -> usize {
         let RetrievalSettings { memory, max_batch, .. } = workspace.model.settings;
         let bytes = (2 * memory + 12) * workspace.model.metric.dimension() * size_of::<f64>();
         images.min(max_batch).min(OPTIMISATION_BYTES / bytes).max(1)
@@ -47,7 +47,7 @@ impl DeviceBatch {
 
     /// # Errors
     /// Those of [`Chain::open_free`].
-    fn open<T: Polynomial>(workspace: &Workspace<T>, capacity: usize) -> Result<Self> {
+    fn open<T: Polynomial>(workspace: &RetrievalWorkspace<T>, capacity: usize) -> Result<Self> {
         let RetrievalSettings { device, precision, .. } = workspace.model.settings;
         let optics = workspace.model.chain.optics().clone();
         Ok(Self { chain: Chain::open_free(optics, device, precision, capacity)?, capacity })
@@ -65,7 +65,7 @@ impl DeviceBatch {
     /// promises of this module's.
     pub(super) fn retrieve<T: Polynomial>(
         batch: &mut Option<Self>,
-        workspace: &Workspace<T>,
+        workspace: &RetrievalWorkspace<T>,
         task: &RetrievalTask,
         store: &mut Store,
     ) -> Result<bool> {
@@ -79,7 +79,7 @@ impl DeviceBatch {
     }
 }
 
-impl<T: Polynomial> Workspace<T> {
+impl<T: Polynomial> RetrievalWorkspace<T> {
     /// Prepares an image and begins its optimisation, or returns the reason why it is unusable.
     fn begin(
         &self,
@@ -98,7 +98,7 @@ impl<T: Polynomial> Workspace<T> {
 
 /// State of a batch while it runs.
 struct Lockstep<'a, T: Polynomial> {
-    workspace: &'a Workspace<T>,
+    workspace: &'a RetrievalWorkspace<T>,
     chain: &'a mut Chain,
     task: &'a RetrievalTask<'a>,
     lanes: Vec<Lane<T>>,
@@ -117,7 +117,7 @@ struct Lockstep<'a, T: Polynomial> {
 }
 
 impl<'a, T: Polynomial> Lockstep<'a, T> {
-    fn new(workspace: &'a Workspace<T>, batch: &'a mut DeviceBatch, task: &'a RetrievalTask<'a>) -> Self {
+    fn new(workspace: &'a RetrievalWorkspace<T>, batch: &'a mut DeviceBatch, task: &'a RetrievalTask<'a>) -> Self {
         Self {
             workspace,
             task,
@@ -225,7 +225,7 @@ impl<'a, T: Polynomial> Lockstep<'a, T> {
             // Amplitudes of segments do not vary on a device.
             let progress =
                 optimisation.advance(model, evaluation, &buffers.turns_bar, |_| {}, &mut buffers.preconditioner)?;
-            let result = (progress == Progress::Done)
+            let result = (progress == Advance::Done)
                 .then(|| optimisation.result(model, &lane.prepared, &mut buffers.preconditioner, &mut buffers.scratch));
             workspace.buffers.put_back(buffers);
             Ok(result)

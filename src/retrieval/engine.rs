@@ -4,7 +4,7 @@ use super::device_batch::DeviceBatch;
 use super::model::MapModel;
 use super::results::RetrievedWavefronts;
 use super::task::RetrievalTask;
-use super::workspace::Workspace;
+use super::workspace::RetrievalWorkspace;
 use crate::Result;
 use crate::imaging::Polynomial;
 use crate::machine;
@@ -13,15 +13,15 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Retrievals in one precision.
-pub(super) struct Engine<T: Polynomial> {
-    workspace: Workspace<T>,
+pub(super) struct RetrievalEngine<T: Polynomial> {
+    workspace: RetrievalWorkspace<T>,
     /// Whether a device was chosen; never where amplitudes vary, which no device kernel supports.
     on_device: bool,
     /// The chain there, once it was opened.
     batch: Mutex<Option<DeviceBatch>>,
 }
 
-impl<T: Polynomial> Engine<T> {
+impl<T: Polynomial> RetrievalEngine<T> {
     /// # Errors
     /// Those of finding the device; [`Error::Value`](crate::Error::Value) where the machine has less memory than the
     /// retrievals take that run at once.
@@ -37,7 +37,7 @@ impl<T: Polynomial> Engine<T> {
             (size_of::<f64>() * at_once * unknowns * vectors) as u64,
             "set fewer estimate.samples, or take fewer threads (RAYON_NUM_THREADS)",
         )?;
-        Ok(Self { workspace: Workspace::new(model), on_device, batch: Mutex::new(None) })
+        Ok(Self { workspace: RetrievalWorkspace::new(model), on_device, batch: Mutex::new(None) })
     }
 
     #[cfg(test)]
@@ -76,7 +76,7 @@ impl<T: Polynomial> Engine<T> {
         })
     }
 
-    /// As [`Engine::retrieve`]; `false`, with nothing done, where no device computes any more.
+    /// As [`RetrievalEngine::retrieve`]; `false`, with nothing done, where no device computes any more.
     fn retrieve_on_device(&self, task: &RetrievalTask, wavefronts: &mut RetrievedWavefronts) -> Result<bool> {
         let mut batch = self.batch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         // The images of a batch end in any order.

@@ -17,7 +17,7 @@ use super::task::KnownOfImage;
 use crate::Result;
 use crate::imaging::{Evaluation, FreeWavefront, Polynomial, Scratch};
 use crate::modal::{PreparedFrame, photometry};
-use crate::optimize::{Progress, QuasiNewton};
+use crate::optimize::{Advance, QuasiNewton};
 use ndarray::{Array1, ArrayView1};
 use std::f64::consts::TAU;
 
@@ -172,7 +172,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         turns_bar: &[T],
         amplitude_gradient: impl FnOnce(&mut [f64]),
         scratch: &mut PreconditionerScratch<T>,
-    ) -> Result<Progress> {
+    ) -> Result<Advance> {
         let (phase, others) = self.gradient.split_at_mut(model.preconditioner.len());
         let (coefficients, amplitudes) = others.split_at_mut(model.free.len());
         model.preconditioner.phase_adjoint(&self.preconditioner, turns_bar, scratch, phase);

@@ -10,7 +10,7 @@
 //! tilt, plus −2 log of the prior of each. The result of an image depends on that image alone: on the CPU to the bit, in any
 //! batch and on any number of threads; on a device to rounding, because small batches use other kernels than large ones.
 
-use super::engine::Engine;
+use super::engine::RetrievalEngine;
 use super::exposure_blur::ExposureBlur;
 use super::illuminated_samples::IlluminatedSamples;
 use super::information_probe::TypicalExposure;
@@ -51,8 +51,8 @@ pub struct Retriever {
 }
 
 enum AnyEngine {
-    Single(Engine<f32>),
-    Double(Engine<f64>),
+    Single(RetrievalEngine<f32>),
+    Double(RetrievalEngine<f64>),
 }
 
 impl Retriever {
@@ -135,11 +135,11 @@ impl Retriever {
         let engine = match settings.precision {
             Precision::F32 => {
                 let map = MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?;
-                AnyEngine::Single(Engine::new(map.blurred_by(blur))?)
+                AnyEngine::Single(RetrievalEngine::new(map.blurred_by(blur))?)
             }
             Precision::F64 => {
                 let map = MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?;
-                AnyEngine::Double(Engine::new(map.blurred_by(blur))?)
+                AnyEngine::Double(RetrievalEngine::new(map.blurred_by(blur))?)
             }
         };
         let highest_frequency_per_m = highest_frequency_per_m(scene, &model)?;

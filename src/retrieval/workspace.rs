@@ -48,13 +48,13 @@ impl<M> Pool<M> {
 }
 
 /// A MAP objective with the memory in which it is minimised.
-pub(super) struct Workspace<T: Polynomial> {
+pub(super) struct RetrievalWorkspace<T: Polynomial> {
     pub(super) model: MapModel<T>,
     pub(super) optimisations: Pool<MapOptimisation<T>>,
     pub(super) buffers: Pool<ThreadBuffers<T>>,
 }
 
-impl<T: Polynomial> Workspace<T> {
+impl<T: Polynomial> RetrievalWorkspace<T> {
     pub(super) fn new(model: MapModel<T>) -> Self {
         Self { model, optimisations: Pool::new(), buffers: Pool::new() }
     }

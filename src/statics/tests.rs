@@ -4,7 +4,7 @@ use super::error_budget::ErrorSource;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use super::{Iteration, StaticsSettings, estimate_static_errors};
 use crate::Result;
-use crate::ao::{Frame, Recorder, Schedule, Shot, Simulator};
+use crate::ao::{LoopFrame, Recorder, Schedule, Shot, Simulator};
 use crate::control::Control;
 use crate::metrics::residual_nm;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
@@ -83,7 +83,7 @@ fn cells(simulator: &Simulator, samples: &IlluminatedSamples) -> Vec<(u32, u32, 
 }
 
 impl Recorder for SimulatedWavefronts {
-    fn frame(&mut self, frame: &Frame) -> Result<()> {
+    fn frame(&mut self, frame: &LoopFrame) -> Result<()> {
         let Some(exposure) = self.schedule.exposure(self.image) else { return Ok(()) };
         let Some(since) = exposure.place(frame.number) else { return Ok(()) };
         let share = 1.0 / exposure.frames as f64;

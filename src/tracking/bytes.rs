@@ -29,9 +29,9 @@ impl Writer {
 }
 
 /// Reader of what a [`Writer`] wrote.
-pub(super) struct Reader<'a>(pub(super) &'a [u8]);
+pub(super) struct ByteReader<'a>(pub(super) &'a [u8]);
 
-impl Reader<'_> {
+impl ByteReader<'_> {
     pub(super) fn number(&mut self) -> Result<usize> {
         let value = u64::from_le_bytes(self.eight()?);
         usize::try_from(value).map_err(|_| damaged())

@@ -10,8 +10,8 @@
 //! A change is declared where T exceeds its threshold for any L from [`WINDOWS`] (Willsky & Jones 1976, IEEE Trans. Autom. Control 21, 108,
 //! with the window of Lai 1995, J. R. Stat. Soc. B 57, 613). One estimate alone declares none: an outlier is rejected before it comes here.
 
-use super::bytes::{Reader, Writer, damaged};
-use super::steps::Step;
+use super::bytes::{ByteReader, Writer, damaged};
+use super::steps::ModeStep;
 use super::threshold::change_threshold;
 use crate::Result;
 use ndarray::{Array1, Array2};
@@ -48,7 +48,7 @@ pub(super) struct ChangeDetector {
 /// A change that the window shows.
 pub(super) enum Alarm {
     /// Of one segment mode.
-    Mode(Step),
+    Mode(ModeStep),
     /// Of no single mode: root of the sum of the squares of all steps, nm, its error bar, and the statistic.
     All(f64, f64, f64),
 }
@@ -126,14 +126,14 @@ impl ChangeDetector {
     }
 
     /// The step of `mode` at the first of the last `length` estimates: least squares with what the filter left of it in each innovation.
-    fn step(&self, mode: usize, length: usize, statistic: f64) -> Step {
+    fn step(&self, mode: usize, length: usize, statistic: f64) -> ModeStep {
         let (mut score, mut information, mut left) = (0.0, 0.0, 1.0);
         for scores in self.window.iter().skip(self.window.len() - length) {
             score += left * scores.score[mode];
             information += left * left * scores.information[mode];
             left *= 1.0 - scores.gain[mode];
         }
-        Step { mode, size_nm: score / information, error_nm: 1.0 / information.sqrt(), statistic }
+        ModeStep { mode, size_nm: score / information, error_nm: 1.0 / information.sqrt(), statistic }
     }
 
     pub(super) fn write(&self, writer: &mut Writer) {
@@ -147,7 +147,7 @@ impl ChangeDetector {
     }
 
     /// Reads the window into a new detector.
-    pub(super) fn read(&mut self, modes: usize, dimension: usize, reader: &mut Reader) -> Result<()> {
+    pub(super) fn read(&mut self, modes: usize, dimension: usize, reader: &mut ByteReader) -> Result<()> {
         let length = reader.number()?;
         for _ in 0..length {
             let time_s = reader.real()?;

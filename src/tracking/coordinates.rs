@@ -12,7 +12,7 @@
 //!
 //! Both are orthonormal, so that a drift that is white among the modes of either stays white: Vᵀ·Q·V = diag(rate²).
 
-use super::bytes::{Reader, Writer};
+use super::bytes::{ByteReader, Writer};
 use crate::modes::symmetric_eigen;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
@@ -118,7 +118,7 @@ impl Coordinates {
         writer.matrix(&self.basis);
     }
 
-    pub(super) fn read(reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(reader: &mut ByteReader) -> Result<Self> {
         let of_segments = reader.number()?;
         Ok(Self { of_segments, basis: reader.matrix()? })
     }

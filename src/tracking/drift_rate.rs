@@ -5,7 +5,7 @@
 //! and is consistent all the same (Varin, Reid & Firth 2011, Stat. Sinica 21, 5). For segments, whose coordinates are eigenvectors of the first
 //! covariance, and unchanged covariances it is the likelihood of the block's estimates itself.
 
-use super::bytes::{Reader, Writer, damaged};
+use super::bytes::{ByteReader, Writer, damaged};
 use super::scalar_filter::ScalarFilter;
 use crate::Result;
 use ndarray::{Array2, ArrayView1};
@@ -89,7 +89,7 @@ impl DriftRate {
         }
     }
 
-    pub(super) fn read(given: Option<f64>, coordinates: usize, reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(given: Option<f64>, coordinates: usize, reader: &mut ByteReader) -> Result<Self> {
         let current = reader.real()?;
         let mut bank = None;
         if reader.number()? == 1 {

@@ -1,6 +1,6 @@
 //! Kalman filter of a random walk that is observed directly, in the [`Coordinates`](super::coordinates::Coordinates) of the observed subspace.
 
-use super::bytes::{Reader, Writer};
+use super::bytes::{ByteReader, Writer};
 use crate::Result;
 use crate::linear_algebra::CholeskyFactor;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
@@ -10,7 +10,7 @@ const OPENED: f64 = 1e6;
 
 /// State x and its covariance P.
 #[derive(Debug, Clone)]
-pub(super) struct Filter {
+pub(super) struct KalmanFilter {
     pub(super) state_nm: Array1<f64>,
     pub(super) covariance_nm2: Array2<f64>,
 }
@@ -39,7 +39,7 @@ impl Innovation {
     }
 }
 
-impl Filter {
+impl KalmanFilter {
     /// From the first observation.
     pub(super) fn new(z_nm: Array1<f64>, covariance_nm2: Array2<f64>) -> Self {
         Self { state_nm: z_nm, covariance_nm2 }
@@ -60,10 +60,10 @@ impl Filter {
         Ok(Innovation { factor, white })
     }
 
-    /// [`Filter::innovation`] where nothing is concluded from the coordinates `left_out`: their variance is opened, which marginalises them.
+    /// [`KalmanFilter::innovation`] where nothing is concluded from the coordinates `left_out`: their variance is opened, which marginalises them.
     ///
     /// # Errors
-    /// As [`Filter::innovation`].
+    /// As [`KalmanFilter::innovation`].
     pub(super) fn innovation_without(
         &self,
         z_nm: &Array1<f64>,
@@ -105,7 +105,7 @@ impl Filter {
         writer.matrix(&self.covariance_nm2);
     }
 
-    pub(super) fn read(reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(reader: &mut ByteReader) -> Result<Self> {
         Ok(Self { state_nm: reader.vector()?, covariance_nm2: reader.matrix()? })
     }
 }

@@ -32,6 +32,6 @@ mod tracker;
 pub use crate::scene::SegmentConvention;
 pub use correction::{Correctable, Correction, CorrectionPolicy, HeldMode, HoldReason, correction};
 pub use pointing::PointingChange;
-pub use settings::{Applied, AppliedPart, Change, NIGHT_S, Observation, TrackerSettings, Update, Verdict};
+pub use settings::{Applied, AppliedPart, Change, NIGHT_S, TimedEstimate, TrackerSettings, TrackerVerdict, Update};
 pub use threshold::change_threshold;
 pub use tracker::Tracker;

@@ -12,7 +12,7 @@
 //! coordinate that is more likely unsteady than [`UNSTEADY`] is left out of the search for steps: a slow oscillation is no random walk, and what the
 //! walk does not predict of it must not be taken for a step.
 
-use super::bytes::{Reader, Writer, damaged};
+use super::bytes::{ByteReader, Writer, damaged};
 use super::scalar_filter::ScalarFilter;
 use crate::Result;
 use ndarray::{Array1, Array2, Axis};
@@ -111,7 +111,7 @@ impl ModeMotion {
         [&self.states_nm, &self.variances_nm2, &self.log_likelihood].into_iter().for_each(|one| writer.matrix(one));
     }
 
-    pub(super) fn read(coordinates: usize, reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(coordinates: usize, reader: &mut ByteReader) -> Result<Self> {
         let (states_nm, variances_nm2) = (reader.matrix()?, reader.matrix()?);
         let read = Self { states_nm, variances_nm2, log_likelihood: reader.matrix()? };
         let fits = [&read.states_nm, &read.variances_nm2, &read.log_likelihood];

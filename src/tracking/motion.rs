@@ -1,6 +1,6 @@
 //! Motion of all coordinates between images: rates of the blocks, and of NCPA modes of their own.
 
-use super::bytes::{Reader, Writer};
+use super::bytes::{ByteReader, Writer};
 use super::drift_rate::DriftRate;
 use super::mode_motion::{Believed, ModeMotion};
 use super::settings::TrackerSettings;
@@ -91,7 +91,7 @@ impl Motion {
         }
     }
 
-    pub(super) fn read(settings: &TrackerSettings, sizes: [usize; 2], reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(settings: &TrackerSettings, sizes: [usize; 2], reader: &mut ByteReader) -> Result<Self> {
         let segments = DriftRate::read(settings.drift_segments_nm_per_sqrt_hour, sizes[0], reader)?;
         let ncpa = DriftRate::read(settings.drift_ncpa_nm_per_sqrt_hour, sizes[1], reader)?;
         let own = if reader.number()? == 1 { Some(ModeMotion::read(sizes[1], reader)?) } else { None };

@@ -11,7 +11,7 @@
 //! steps (see [`change_threshold`]) tells a move from the scatter by the same rate of false alarms as the others. A scatter that is known
 //! from ν numbers has the tails of Fisher's F: a level T of χ² with two degrees of freedom becomes `ν·(exp(T/ν) − 1)`.
 
-use super::bytes::{Reader, Writer, damaged};
+use super::bytes::{ByteReader, Writer, damaged};
 use super::change_detector::WINDOWS;
 use super::threshold::change_threshold;
 use crate::Result;
@@ -63,7 +63,7 @@ struct Innovation {
 
 /// The star's pointing through a night.
 #[derive(Debug, Clone)]
-pub(super) struct Pointing {
+pub(super) struct PointingTracker {
     /// Of χ² with two degrees of freedom, for a known scatter.
     threshold: f64,
     lanes: [Lane; GAINS.len()],
@@ -72,7 +72,7 @@ pub(super) struct Pointing {
     window: VecDeque<Innovation>,
 }
 
-impl Pointing {
+impl PointingTracker {
     pub(super) fn new(false_alarms_per_step: f64) -> Self {
         let threshold = change_threshold(2, WINDOWS, false_alarms_per_step);
         Self { threshold, lanes: Default::default(), seen: 0.0, window: VecDeque::new() }
@@ -163,8 +163,8 @@ impl Pointing {
         }
     }
 
-    /// Reads what [`Pointing::write`] wrote into a new one.
-    pub(super) fn read(&mut self, reader: &mut Reader) -> Result<()> {
+    /// Reads what [`PointingTracker::write`] wrote into a new one.
+    pub(super) fn read(&mut self, reader: &mut ByteReader) -> Result<()> {
         self.seen = reader.real()?;
         for lane in &mut self.lanes {
             *lane = Lane { mean_nm: [reader.real()?, reader.real()?], square_nm2: reader.real()? };

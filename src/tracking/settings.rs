@@ -10,7 +10,7 @@ pub const NIGHT_S: f64 = 8.0 * 3600.0;
 
 /// One estimate, as the tracker takes it.
 #[derive(Debug, Clone, Copy)]
-pub struct Observation<'a> {
+pub struct TimedEstimate<'a> {
     /// Time of the exposure, s, of any origin; it may stand still or go back.
     pub time_s: f64,
     /// Coefficients of segment modes and NCPA modes, nm.
@@ -106,7 +106,7 @@ pub struct Change {
 
 /// What became of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Verdict {
+pub enum TrackerVerdict {
     /// It was used.
     Accepted,
     /// It differs from the tracked state by more than its error bars and the drift allow, and was not used. Where the next one
@@ -164,7 +164,7 @@ pub struct Applied {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Update {
     /// Whether it was used.
-    pub verdict: Verdict,
+    pub verdict: TrackerVerdict,
     /// Steps that this estimate proved.
     pub changes: Vec<Change>,
     /// The correction that it shows to be applied, by which the state was moved.
@@ -176,6 +176,6 @@ pub struct Update {
 impl Update {
     /// An estimate that was used and shows no change.
     pub(super) fn accepted() -> Self {
-        Self { verdict: Verdict::Accepted, changes: Vec::new(), applied: None, pointing: None }
+        Self { verdict: TrackerVerdict::Accepted, changes: Vec::new(), applied: None, pointing: None }
     }
 }

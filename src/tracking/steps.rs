@@ -8,7 +8,7 @@ const MOST_STEPS: usize = 6;
 
 /// Step of one mode.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Step {
+pub(super) struct ModeStep {
     /// Which of the segment modes.
     pub(super) mode: usize,
     pub(super) size_nm: f64,
@@ -19,13 +19,13 @@ pub(super) struct Step {
 
 /// What a difference is made of.
 pub(super) struct Attribution {
-    pub(super) steps: Vec<Step>,
+    pub(super) steps: Vec<ModeStep>,
     /// χ² of what the steps leave.
     pub(super) rest_chi2: f64,
 }
 
 /// The most likely step of one mode in a difference that is as likely as `innovation`; `white_steps`: the steps of 1 nm, white.
-pub(super) fn most_likely_step(innovation: &Innovation, white_steps: &Array2<f64>) -> Option<Step> {
+pub(super) fn most_likely_step(innovation: &Innovation, white_steps: &Array2<f64>) -> Option<ModeStep> {
     steps_in(&innovation.white.to_vec(), white_steps).max_by(|a, b| a.statistic.total_cmp(&b.statistic))
 }
 
@@ -33,7 +33,7 @@ pub(super) fn most_likely_step(innovation: &Innovation, white_steps: &Array2<f64
 /// pursuit would fit them together; single segments of a mirror are near enough to orthogonal).
 pub(super) fn attribute(innovation: &Innovation, white_steps: &Array2<f64>, threshold: f64) -> Attribution {
     let mut rest = innovation.white.to_vec();
-    let mut steps: Vec<Step> = Vec::new();
+    let mut steps: Vec<ModeStep> = Vec::new();
     while steps.len() < MOST_STEPS {
         let new = steps_in(&rest, white_steps).filter(|step| steps.iter().all(|known| known.mode != step.mode));
         let Some(step) = new.max_by(|a, b| a.statistic.total_cmp(&b.statistic)) else { break };
@@ -46,12 +46,12 @@ pub(super) fn attribute(innovation: &Innovation, white_steps: &Array2<f64>, thre
     Attribution { steps, rest_chi2: rest.iter().map(|part| part * part).sum() }
 }
 
-fn steps_in<'a>(white: &'a [f64], white_steps: &'a Array2<f64>) -> impl Iterator<Item = Step> + 'a {
+fn steps_in<'a>(white: &'a [f64], white_steps: &'a Array2<f64>) -> impl Iterator<Item = ModeStep> + 'a {
     white_steps.columns().into_iter().enumerate().filter_map(move |(mode, step)| {
         let information: f64 = step.iter().map(|part| part * part).sum();
         let score: f64 = step.iter().zip(white).map(|(step, white)| step * white).sum();
         // A mode that is not observed has no step.
-        (information > 0.0).then(|| Step {
+        (information > 0.0).then(|| ModeStep {
             mode,
             size_nm: score / information,
             error_nm: 1.0 / information.sqrt(),

@@ -5,12 +5,12 @@ mod memory;
 mod memory_bytes;
 mod recognition;
 
-use super::bytes::{Reader, Writer, damaged};
+use super::bytes::{ByteReader, Writer, damaged};
 use super::motion::Motion;
-use super::settings::{Change, Observation, TrackerSettings, Update, Verdict};
+use super::settings::{Change, TimedEstimate, TrackerSettings, TrackerVerdict, Update};
 use crate::{Error, Result};
 use expected::Expected;
-use memory::{Compared, MOST_OUTLIERS, Measured, Memory};
+use memory::{ComparedEstimate, MOST_OUTLIERS, Measured, TrackerMemory};
 use ndarray::{Array1, Array2};
 
 /// First bytes of a state, with the version of its format.
@@ -22,7 +22,7 @@ const MAGIC: &[u8; 8] = b"CPTRACK2";
 #[derive(Debug, Clone)]
 pub struct Tracker {
     settings: TrackerSettings,
-    memory: Option<Memory>,
+    memory: Option<TrackerMemory>,
     /// Corrections that may be applied.
     expected: Vec<Expected>,
 }
@@ -48,10 +48,10 @@ impl Tracker {
     /// # Errors
     /// [`Error::Shape`] for another number of modes, [`Error::Value`] for numbers that are not finite and for a covariance that is negative
     /// along a direction; the state is then as before.
-    pub fn update(&mut self, observation: Observation<'_>) -> Result<Update> {
+    pub fn update(&mut self, observation: TimedEstimate<'_>) -> Result<Update> {
         self.check(&observation)?;
         let Some(memory) = &self.memory else {
-            let mut memory = Memory::new(&self.settings, &observation)?;
+            let mut memory = TrackerMemory::new(&self.settings, &observation)?;
             let first = memory.measure(&observation);
             memory.learn(&first);
             let pointing = memory.point(&observation);
@@ -72,7 +72,7 @@ impl Tracker {
     }
 
     /// Takes an estimate without its pointing.
-    fn update_wavefront(&mut self, measured: Measured, compared: Compared) -> Result<Update> {
+    fn update_wavefront(&mut self, measured: Measured, compared: ComparedEstimate) -> Result<Update> {
         if let Some(place) = self.weigh(&compared) {
             return self.update_applied(place, measured);
         }
@@ -92,7 +92,7 @@ impl Tracker {
     }
 
     /// Accepts an observation, holds it back as an outlier, or confirms the one before.
-    fn decide(&mut self, measured: Measured, compared: Compared) -> Result<Update> {
+    fn decide(&mut self, measured: Measured, compared: ComparedEstimate) -> Result<Update> {
         let memory = self.memory.as_mut().ok_or_else(damaged)?;
         if let Some(suspect) = memory.suspect.take()
             && let Some(changes) = memory.confirm(&suspect, &measured, &compared)?
@@ -106,7 +106,7 @@ impl Tracker {
             if memory.outliers < MOST_OUTLIERS {
                 memory.suspect = Some(measured);
                 let segment = compared.largest.map(|mode| self.settings.segment_of_mode[mode]);
-                return Ok(Update { verdict: Verdict::Outlier { chi2, limit, segment }, ..Update::accepted() });
+                return Ok(Update { verdict: TrackerVerdict::Outlier { chi2, limit, segment }, ..Update::accepted() });
             }
             let change = memory.start_again(&measured, &compared)?;
             memory.learn(&measured);
@@ -174,7 +174,7 @@ impl Tracker {
         let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| {
             Error::Value("the state of a tracker is of another version: that of this program is needed".into())
         })?;
-        let mut reader = Reader(rest);
+        let mut reader = ByteReader(rest);
         let range = reader.number()?..reader.number()?;
         if range != settings.segment_modes {
             return Err(Error::Value(format!(
@@ -183,7 +183,7 @@ impl Tracker {
             )));
         }
         if reader.number()? == 1 {
-            let memory = Memory::read(settings, &mut reader)?;
+            let memory = TrackerMemory::read(settings, &mut reader)?;
             if !memory.coordinates.are_without(settings.pointing_modes.view()) {
                 return Err(Error::Value(
                     "the state of a tracker has the pointing in other modes than the settings: the same are needed"
@@ -199,7 +199,7 @@ impl Tracker {
         Ok(tracker)
     }
 
-    fn check(&self, observation: &Observation<'_>) -> Result<()> {
+    fn check(&self, observation: &TimedEstimate<'_>) -> Result<()> {
         let modes = observation.coefficients_nm.len();
         let segments = &self.settings.segment_modes;
         let known = self.memory.as_ref().map(|memory| memory.coordinates.modes());

@@ -317,7 +317,7 @@ fn bad_pixels_are_read_from_the_file_and_from_the_mask() {
     file.image("BADPIX", &flat.t(), Pixel::F64, "").unwrap();
     file.finish().unwrap();
 
-    let marked = |images: &cophase::io::Images| {
+    let marked = |images: &cophase::io::HduImages| {
         images.bad.indexed_iter().filter(|(_, bad)| **bad).map(|(at, _)| at).collect::<Vec<_>>()
     };
     let images = read_images(&path, None).unwrap();

@@ -4,7 +4,9 @@ use crate::clock;
 use crate::store::Event;
 use cophase::modal::{ModalFitter, Pointing};
 use cophase::pipeline::FrameEstimate;
-use cophase::tracking::{Applied, AppliedPart, Change, Observation, PointingChange, Tracker, TrackerSettings, Verdict};
+use cophase::tracking::{
+    Applied, AppliedPart, Change, PointingChange, TimedEstimate, Tracker, TrackerSettings, TrackerVerdict,
+};
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 
@@ -115,7 +117,7 @@ impl Tracking {
     /// [`Error::Value`] for an estimate that is not finite.
     pub fn step(&self, time_s: f64, estimate: &FrameEstimate, labels: &[String]) -> Result<Step> {
         let mut tracker = self.tracker.clone();
-        let observation = Observation {
+        let observation = TimedEstimate {
             time_s,
             coefficients_nm: ArrayView1::from(&estimate.coefficients_nm),
             covariance_nm2: estimate.covariance_nm2.view(),
@@ -124,8 +126,8 @@ impl Tracking {
         };
         let update = tracker.update(observation)?;
         let outlier = match update.verdict {
-            Verdict::Accepted => None,
-            Verdict::Outlier { chi2, limit, segment } => {
+            TrackerVerdict::Accepted => None,
+            TrackerVerdict::Outlier { chi2, limit, segment } => {
                 let most = segment.map(|segment| format!(", most in segment {}", label(segment, labels)));
                 Some(format!(
                     "the wavefront of this frame differs from the tracked one {} error bars and drift allow{}: the tracker leaves it out, \

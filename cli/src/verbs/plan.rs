@@ -1,7 +1,7 @@
 //! `cophase plan`: which model a scene needs for a budget, or which observation.
 
 use super::observe;
-use cophase::planner::{self, Choice, Omission, Plan, Price};
+use cophase::planner::{self, Omission, Plan, Price, TriedValue};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
 use cophase_view::files::{self, Settings};
@@ -205,7 +205,7 @@ struct PrintedOmission {
 
 impl Printed {
     fn of(plan: &Plan) -> Self {
-        let choice = |Choice { channel, key, value, kept, price }: &Choice| PrintedChoice {
+        let choice = |TriedValue { channel, key, value, kept, price }: &TriedValue| PrintedChoice {
             channel: channel.clone(),
             key,
             value: value.clone(),

@@ -2,7 +2,7 @@
 
 use cophase::io::{self, FitsReader};
 use cophase::reduction::{
-    ChannelRule, Frame, FrameClass, LogRow, Pattern, Reduction, ReductionOptions, list_files, read_frames, reduce,
+    ChannelRule, FrameClass, LogRow, Pattern, RawFrame, Reduction, ReductionOptions, list_files, read_frames, reduce,
 };
 use cophase::scene::Scene;
 use cophase::{Error, Result};
@@ -201,7 +201,7 @@ fn inputs(arguments: &Arguments) -> Result<Vec<(PathBuf, Option<FrameClass>)>> {
     Ok(inputs)
 }
 
-fn reduced(arguments: &Arguments, scene: &Scene, frames: &[Frame], unreadable: &[LogRow]) -> Result<Reduction> {
+fn reduced(arguments: &Arguments, scene: &Scene, frames: &[RawFrame], unreadable: &[LogRow]) -> Result<Reduction> {
     if let (true, Some(first)) = (frames.is_empty(), unreadable.first()) {
         return Err(Error::Image(format!("no frame can be read ({}: {})", first.file, first.reason)));
     }

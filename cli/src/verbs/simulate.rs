@@ -1,7 +1,7 @@
 //! `cophase simulate`: an AO loop under a sky, its images, the truth, the telemetry.
 
 use cophase::Result;
-use cophase::ao::{self, Shot, Simulator, Stage, Summary};
+use cophase::ao::{self, LoopStage, Shot, Simulator, Summary};
 use cophase::pipeline::{Part, SentCorrections};
 use cophase::scene::{Scene, System};
 use cophase_view::files::{self, Settings};
@@ -237,7 +237,7 @@ fn made(simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Made {
 /// Time in each stage beside the least it has to do; the turbulence and the camera have threads of their own.
 fn stages(simulator: &Simulator, summary: &Summary) -> String {
     let mut text = String::from("stage          us/frame     Mflop        kB   GFLOP/s      GB/s\n");
-    for stage in Stage::ALL {
+    for stage in LoopStage::ALL {
         let us = summary.profile.seconds(stage) * 1e6 / summary.frames as f64;
         let work = simulator.work(stage);
         let (mflop, kb) = (work.flops / 1e6, work.bytes / 1e3);

@@ -3,7 +3,7 @@
 
 use cophase::Result;
 use cophase::device::{Choice, Device, DeviceKind, Peak, Precision};
-use cophase::imaging::Work;
+use cophase::imaging::EvaluationWork;
 use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 use rayon::prelude::*;
 use std::hint::black_box;
@@ -29,7 +29,7 @@ pub struct Floor {
 
 impl Floor {
     /// `work` at `peak`.
-    pub fn of(work: Work, peak: Rates) -> Self {
+    pub fn of(work: EvaluationWork, peak: Rates) -> Self {
         let (arithmetic_s, memory_s) = (work.flops / peak.flops_per_s, work.bytes / peak.bytes_per_s);
         Self { us: 1e6 * arithmetic_s.max(memory_s), arithmetic: arithmetic_s >= memory_s }
     }
@@ -164,7 +164,7 @@ mod tests {
     #[test]
     fn the_longer_of_two_times_is_the_floor() {
         let peak = Rates { flops_per_s: 1e9, bytes_per_s: 1e8 };
-        assert_eq!(Floor::of(Work { flops: 2e3, bytes: 1e2 }, peak), Floor { us: 2.0, arithmetic: true });
-        assert_eq!(Floor::of(Work { flops: 2e3, bytes: 1e3 }, peak), Floor { us: 10.0, arithmetic: false });
+        assert_eq!(Floor::of(EvaluationWork { flops: 2e3, bytes: 1e2 }, peak), Floor { us: 2.0, arithmetic: true });
+        assert_eq!(Floor::of(EvaluationWork { flops: 2e3, bytes: 1e3 }, peak), Floor { us: 10.0, arithmetic: false });
     }
 }

@@ -4,7 +4,7 @@ use super::floor::{Floor, Rates};
 use crate::experiment::Table;
 use crate::experiment::statistics::quantile;
 use cophase::device::Precision;
-use cophase::imaging::Work;
+use cophase::imaging::EvaluationWork;
 
 pub use crate::experiment::Cell;
 
@@ -67,7 +67,7 @@ pub struct Point {
     /// Median χ² per degree of freedom.
     pub reduced_chi2: f64,
     /// Of one evaluation.
-    pub work: Work,
+    pub work: EvaluationWork,
     /// Of the device.
     pub peak: Rates,
     /// Of one evaluation.

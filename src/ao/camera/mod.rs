@@ -5,7 +5,7 @@ mod view;
 mod wavelength;
 
 pub use strehl::strehl_on_axis;
-pub use view::{Optics, View};
+pub use view::{CameraOptics, View};
 
 use crate::Result;
 use crate::ao::footprint::{Footprint, LANES};
@@ -16,7 +16,7 @@ use ndarray::Array2;
 use num_complex::Complex32;
 use pulp::{Arch, NullaryFnOnce};
 use std::sync::Arc;
-use wavelength::{MonochromaticField, Transform, segment_weights};
+use wavelength::{CameraTransform, MonochromaticField, segment_weights};
 
 /// Samples around the illuminated area on which wavefronts are needed: a low-passed edge rings there, and by less than
 /// 1 % beyond them.
@@ -44,7 +44,7 @@ impl ScienceCamera {
     ///
     /// # Errors
     /// [`crate::Error::Shape`] for an image wider than the sampling of the pupil allows.
-    pub fn new(view: View, optics: &Optics) -> Result<Self> {
+    pub fn new(view: View, optics: &CameraOptics) -> Result<Self> {
         let n = optics.footprint.samples();
         // Light scattered by uncorrected turbulence reaches the corners.
         let corner = 0.5 * (view.rows as f64).hypot(view.columns as f64) / view.samples_per_lambda_over_d;
@@ -93,13 +93,13 @@ impl ScienceCamera {
             let (padded, rows) = (static_field.padded(n), self.rows);
             for (line, out) in self.transform.chunks_exact_mut(padded).zip(sum.chunks_exact_mut(rows)) {
                 match &static_field.transform {
-                    Transform::Fft(fft) => {
+                    CameraTransform::Fft(fft) => {
                         fft.process_with_scratch(line, &mut self.scratch);
                         for (v, out) in out.iter_mut().enumerate() {
                             *out += static_field.scale * line[frequency_index(v, rows, padded)].norm_sqr();
                         }
                     }
-                    Transform::Matrix { y, .. } => {
+                    CameraTransform::Matrix { y, .. } => {
                         let line = ndarray::aview1(&line[..n]);
                         for (row, out) in y.rows().into_iter().zip(out) {
                             *out += static_field.scale * row.dot(&line).norm_sqr();
@@ -129,7 +129,7 @@ impl ScienceCamera {
             }
             let rows = rows.len();
             match &static_field.transform {
-                Transform::Fft(fft) => {
+                CameraTransform::Fft(fft) => {
                     for row in self.field.chunks_exact_mut(width).take(rows) {
                         fft.process_with_scratch(&mut row[..padded], &mut self.scratch);
                     }
@@ -141,7 +141,7 @@ impl ScienceCamera {
                         }
                     }
                 }
-                Transform::Matrix { x, .. } => {
+                CameraTransform::Matrix { x, .. } => {
                     for (u, weights) in x.rows().into_iter().enumerate() {
                         let line = &mut self.transform[u * padded + first..][..rows];
                         for (out, row) in line.iter_mut().zip(self.field.chunks_exact(width)) {

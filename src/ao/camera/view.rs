@@ -81,7 +81,7 @@ impl View {
 }
 
 /// Optics that a camera is built from.
-pub struct Optics<'a> {
+pub struct CameraOptics<'a> {
     /// Telescope.
     pub telescope: &'a Telescope,
     /// Pupil on the simulator's grid.

@@ -1,6 +1,6 @@
 //! The static field of a camera at one wavelength, and its transform to the focus.
 
-use super::view::{Optics, View, largest_band_cycles};
+use super::view::{CameraOptics, View, largest_band_cycles};
 use crate::ao::aligned::AlignedBuffer;
 use crate::pupil::{BandLimit, SegmentWeights};
 use crate::{Error, Result};
@@ -18,11 +18,11 @@ pub(super) struct MonochromaticField {
     pub(super) im: AlignedBuffer,
     /// Contribution to the PSF per |transform|².
     pub(super) scale: f32,
-    pub(super) transform: Transform,
+    pub(super) transform: CameraTransform,
 }
 
 /// Fourier transform of the field.
-pub(super) enum Transform {
+pub(super) enum CameraTransform {
     /// FFT, if the padded length is a whole number of samples.
     Fft(Arc<dyn Fft<f32>>),
     /// Matrices `[pixel][sample]`, along x and along y.
@@ -34,7 +34,7 @@ impl MonochromaticField {
     pub(super) fn new(
         view: &View,
         (wavelength_nm, light_share): (f64, f64),
-        optics: &Optics,
+        optics: &CameraOptics,
         weights: &SegmentWeights,
     ) -> Result<Self> {
         let (grid, stride) = (&optics.pupil.grid, optics.footprint.stride());
@@ -51,7 +51,7 @@ impl MonochromaticField {
             )));
         }
         let transform = if length.fract() == 0.0 {
-            Transform::Fft(f32::plan(length as usize, FftDirection::Forward))
+            CameraTransform::Fft(f32::plan(length as usize, FftDirection::Forward))
         } else {
             let along = |pixels: usize| {
                 Array2::from_shape_fn((pixels, n), |(u, j)| {
@@ -60,7 +60,7 @@ impl MonochromaticField {
                     Complex32::new(cos as f32, sin as f32)
                 })
             };
-            Transform::Matrix { x: along(view.columns), y: along(view.rows) }
+            CameraTransform::Matrix { x: along(view.columns), y: along(view.rows) }
         };
         let (mut re, mut im) = (optics.footprint.zeros(), optics.footprint.zeros());
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
@@ -99,16 +99,16 @@ impl MonochromaticField {
     /// Length of the transform of a row of `samples`.
     pub(super) fn padded(&self, samples: usize) -> usize {
         match &self.transform {
-            Transform::Fft(fft) => fft.len(),
-            Transform::Matrix { .. } => samples,
+            CameraTransform::Fft(fft) => fft.len(),
+            CameraTransform::Matrix { .. } => samples,
         }
     }
 
     /// Length of the transform's work array.
     pub(super) fn scratch(&self) -> usize {
         match &self.transform {
-            Transform::Fft(fft) => fft.get_inplace_scratch_len(),
-            Transform::Matrix { .. } => 0,
+            CameraTransform::Fft(fft) => fft.get_inplace_scratch_len(),
+            CameraTransform::Matrix { .. } => 0,
         }
     }
 }
@@ -118,7 +118,7 @@ impl MonochromaticField {
 /// Weights by area are a low pass too, but a poor one. At 240 samples over 11.25 m they attenuate an edge by 10 % at
 /// the frequencies that reach the rim of an image 120 λ/D wide, and alias 6 % of higher frequencies onto them. Pistons
 /// estimated from such images are 3 to 5 % too small.
-pub(super) fn segment_weights(view: &View, optics: &Optics) -> Result<SegmentWeights> {
+pub(super) fn segment_weights(view: &View, optics: &CameraOptics) -> Result<SegmentWeights> {
     let (grid, telescope) = (optics.pupil.grid, optics.telescope);
     let needed = view.band_cycles(&telescope.pupil, optics.diversity);
     let pass = needed.min(largest_band_cycles(grid.samples()));

@@ -1,6 +1,6 @@
 //! Controller: turns the slopes of a frame into the next commands.
 
-use super::step_map::{StepMap, Workspace};
+use super::step_map::{StepMap, StepMapWorkspace};
 use crate::scene::LoopLag;
 use crate::{Error, Result};
 use ndarray::ArrayView1;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], m[k])`, clipped to the stroke. On the mirror in frame k is the mean
 /// `m[k] = (1 − newer)·c[k] + newer·c[k+1]`, since the next command takes effect within the frame; c[k] itself for a whole lag.
 #[derive(Debug)]
-pub(super) struct Step {
+pub(super) struct ControlStep {
     /// Number of slopes in a frame.
     pub slopes: usize,
     /// Number of commands.
@@ -28,17 +28,17 @@ pub(super) struct Step {
 /// State of a controller; [`ControlLaw::start`](super::ControlLaw::start) creates it.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    step: Arc<Step>,
+    step: Arc<ControlStep>,
     /// Ring of the `lag.frames` next commands; that of the present frame is at `now`.
     queue: Vec<Vec<f32>>,
     now: usize,
     /// Mean of the commands on the mirror in the present frame; empty for a whole number of frames.
     mixed: Vec<f32>,
-    workspace: Workspace,
+    workspace: StepMapWorkspace,
 }
 
 impl Controller {
-    pub(super) fn new(step: Arc<Step>) -> Self {
+    pub(super) fn new(step: Arc<ControlStep>) -> Self {
         let queue = vec![vec![0.0; step.actuators]; step.lag.frames];
         let mixed = vec![0.0; if step.lag.newer == 0.0 { 0 } else { step.actuators }];
         Self { queue, now: 0, mixed, workspace: step.matrix.workspace(), step }
@@ -80,7 +80,7 @@ impl Controller {
 
     /// Divides the controlled modes by these optical gains from now on, where the law has any.
     pub(in crate::ao) fn set_optical_gains(&mut self, gains: &[f32]) {
-        if let Workspace::Modal(workspace) = &mut self.workspace {
+        if let StepMapWorkspace::Modal(workspace) = &mut self.workspace {
             workspace.divide_by(gains);
         }
     }

@@ -1,6 +1,6 @@
 //! Control laws, folded into one linear step.
 
-use super::controller::{Controller, Step};
+use super::controller::{ControlStep, Controller};
 use super::inpaint::Inpainting;
 use super::modal_step::ModalStep;
 use super::plant::Plant;
@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// Control law of a scene for a plant. It is built once; [`ControlLaw::start`] creates a controller for each run.
 #[derive(Debug, Clone)]
 pub struct ControlLaw {
-    step: Arc<Step>,
+    step: Arc<ControlStep>,
     inverse: Inverse,
     inpainting: Option<Inpainting>,
     stability: Stability,
@@ -124,8 +124,8 @@ impl ControlLaw {
 }
 
 /// The step of a law with the given map.
-fn step(scene: &ControlScene, plant: &Plant, matrix: StepMap) -> Step {
-    Step {
+fn step(scene: &ControlScene, plant: &Plant, matrix: StepMap) -> ControlStep {
+    ControlStep {
         slopes: plant.interaction.nrows(),
         actuators: plant.actuators(),
         lag: scene.lag(),

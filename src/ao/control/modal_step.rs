@@ -14,8 +14,8 @@ pub(super) struct ModalStep {
 /// Work arrays of a [`ModalStep`], and the factors.
 #[derive(Debug, Clone)]
 pub(super) struct ModalWorkspace {
-    inverse: step::Workspace,
-    modes: step::Workspace,
+    inverse: step::StepWorkspace,
+    modes: step::StepWorkspace,
     coefficients: Vec<f32>,
     factors: Vec<f32>,
 }

@@ -34,7 +34,7 @@ pub(super) struct StepMatrix {
 
 /// Input and output arrays of a product.
 #[derive(Debug, Clone)]
-pub(super) struct Workspace {
+pub(super) struct StepWorkspace {
     input: Vec<f32>,
     output: Vec<f32>,
 }
@@ -58,13 +58,13 @@ impl StepMatrix {
     }
 
     /// Allocates the arrays of [`apply`](Self::apply).
-    pub fn workspace(&self) -> Workspace {
+    pub fn workspace(&self) -> StepWorkspace {
         let input = vec![0.0; self.lengths.iter().sum()];
-        Workspace { input, output: vec![0.0; self.rows.next_multiple_of(ROWS)] }
+        StepWorkspace { input, output: vec![0.0; self.rows.next_multiple_of(ROWS)] }
     }
 
     /// Computes `M₁·inputs₁ + M₂·inputs₂ + …`; inputs beyond the number of blocks are not read.
-    pub fn apply<'a>(&self, inputs: &[&[f32]], workspace: &'a mut Workspace) -> &'a [f32] {
+    pub fn apply<'a>(&self, inputs: &[&[f32]], workspace: &'a mut StepWorkspace) -> &'a [f32] {
         let mut rest = &mut workspace.input[..];
         for (values, &length) in inputs.iter().zip(&self.lengths) {
             let (here, after) = rest.split_at_mut(length);

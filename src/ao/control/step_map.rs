@@ -17,28 +17,28 @@ pub(super) enum StepMap {
 
 /// Work arrays of a [`StepMap`].
 #[derive(Debug, Clone)]
-pub(super) enum Workspace {
-    Dense(step::Workspace),
+pub(super) enum StepMapWorkspace {
+    Dense(step::StepWorkspace),
     Modal(ModalWorkspace),
     Sparse(SparseWorkspace),
 }
 
 impl StepMap {
     /// Allocates the arrays of [`apply`](Self::apply).
-    pub(super) fn workspace(&self) -> Workspace {
+    pub(super) fn workspace(&self) -> StepMapWorkspace {
         match self {
-            Self::Dense(matrix) => Workspace::Dense(matrix.workspace()),
-            Self::Modal(step) => Workspace::Modal(step.workspace()),
-            Self::Sparse(step) => Workspace::Sparse(step.workspace()),
+            Self::Dense(matrix) => StepMapWorkspace::Dense(matrix.workspace()),
+            Self::Modal(step) => StepMapWorkspace::Modal(step.workspace()),
+            Self::Sparse(step) => StepMapWorkspace::Sparse(step.workspace()),
         }
     }
 
     /// Change of the commands by `slopes`, which were measured with `commands` on the mirror. `workspace` is one of this map.
-    pub(super) fn apply<'a>(&self, slopes: &[f32], commands: &[f32], workspace: &'a mut Workspace) -> &'a [f32] {
+    pub(super) fn apply<'a>(&self, slopes: &[f32], commands: &[f32], workspace: &'a mut StepMapWorkspace) -> &'a [f32] {
         match (self, workspace) {
-            (Self::Dense(matrix), Workspace::Dense(workspace)) => matrix.apply(&[slopes, commands], workspace),
-            (Self::Modal(step), Workspace::Modal(workspace)) => step.apply(slopes, workspace),
-            (Self::Sparse(step), Workspace::Sparse(workspace)) => step.apply(slopes, commands, workspace),
+            (Self::Dense(matrix), StepMapWorkspace::Dense(workspace)) => matrix.apply(&[slopes, commands], workspace),
+            (Self::Modal(step), StepMapWorkspace::Modal(workspace)) => step.apply(slopes, workspace),
+            (Self::Sparse(step), StepMapWorkspace::Sparse(workspace)) => step.apply(slopes, commands, workspace),
             _ => unreachable!("a workspace is made by the map that uses it"),
         }
     }

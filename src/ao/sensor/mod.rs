@@ -29,7 +29,7 @@ use crate::scene::{SensorDetector, SensorScene};
 use crate::{Error, Result};
 use geometric::Geometric;
 use misregistration::Misregistration;
-use pixels::Pixels;
+use pixels::SensorPixels;
 use pyramid::Pyramid;
 use quad_cell::QuadCell;
 
@@ -41,7 +41,7 @@ const CALIBRATION_MAS: f64 = 1.0;
 #[derive(Clone)]
 enum Detector {
     QuadCell(QuadCell),
-    Pixels(Pixels),
+    Pixels(SensorPixels),
     Geometric(Geometric),
     Pyramid(Box<Pyramid>),
 }
@@ -53,7 +53,7 @@ impl Detector {
         }
         match scene.detector {
             SensorDetector::QuadCell => Self::QuadCell(QuadCell::new(lenslets, footprint, scene.wavelength_nm)),
-            SensorDetector::Pixels => Self::Pixels(Pixels::new(scene, lenslets, footprint)),
+            SensorDetector::Pixels => Self::Pixels(SensorPixels::new(scene, lenslets, footprint)),
             SensorDetector::Geometric => Self::Geometric(Geometric::new(lenslets, grid, footprint)),
         }
     }

@@ -18,7 +18,7 @@ type Lane = [f32; LANES];
 
 /// Spots and pixels of all subapertures.
 #[derive(Clone)]
-pub(super) struct Pixels {
+pub(super) struct SensorPixels {
     lenslets: Lenslets,
     turns_per_nm: f32,
     footprint: Footprint,
@@ -37,7 +37,7 @@ pub(super) struct Pixels {
     arch: Arch,
 }
 
-impl Pixels {
+impl SensorPixels {
     pub(super) fn new(scene: &SensorScene, lenslets: &Lenslets, footprint: &Footprint) -> Self {
         let n = lenslets.samples;
         let divides = |&pixels: &usize| (2 * n).is_multiple_of(pixels) && pixels.is_multiple_of(2);
@@ -104,7 +104,7 @@ impl Pixels {
 
 /// Kernel: the spots of [`LANES`] subapertures from `first` on.
 struct FormSpots<'a> {
-    camera: &'a mut Pixels,
+    camera: &'a mut SensorPixels,
     opd_nm: &'a [f32],
     first: usize,
     count: usize,
@@ -121,7 +121,7 @@ impl NullaryFnOnce for FormSpots<'_> {
     }
 }
 
-impl Pixels {
+impl SensorPixels {
     /// Computes the field of each lenslet, one in each lane; unused lanes repeat the last lenslet.
     #[inline(always)]
     fn gather(&mut self, opd_nm: &[f32], first: usize, count: usize) {

@@ -4,7 +4,7 @@ use super::read::{image, reals, row, texts};
 use super::version::check_version;
 use crate::Result;
 use crate::io::header::{HeaderFact, PixelUnit, Quantity};
-use crate::io::image_hdu::{Images, read_hdu};
+use crate::io::image_hdu::{HduImages, read_hdu};
 use crate::io::read::FitsReader;
 use std::f64::consts::PI;
 use std::path::Path;
@@ -21,7 +21,7 @@ const TOLERANCE: f64 = 1e-6;
 pub(super) const MAS_PER_RADIAN: f64 = 180.0 / PI * 3.6e6;
 
 /// A scoring camera with images.
-pub(super) struct Camera {
+pub(super) struct AotCamera {
     pub(super) uid: String,
     /// Row of its detector.
     detector: usize,
@@ -34,7 +34,7 @@ pub(super) struct Camera {
 ///
 /// # Errors
 /// [`Error::File`](crate::Error::File), with what is missing, where none has.
-pub(super) fn with_images(file: &mut FitsReader) -> Result<Vec<Camera>> {
+pub(super) fn with_images(file: &mut FitsReader) -> Result<Vec<AotCamera>> {
     check_version(file)?;
     let uids = texts(file, CAMERAS, "UID")?;
     let references = texts(file, CAMERAS, "DETECTOR_UID")?;
@@ -44,7 +44,7 @@ pub(super) fn with_images(file: &mut FitsReader) -> Result<Vec<Camera>> {
     for (at, uid) in uids.iter().enumerate() {
         let Some(detector) = row(file, &references[at], DETECTORS)? else { continue };
         let Some(images) = image(file, &pixels[detector], "PIXEL_INTENSITIES")? else { continue };
-        cameras.push(Camera { uid: uid.clone(), detector, images, wavelength_m: wavelengths_m[at] });
+        cameras.push(AotCamera { uid: uid.clone(), detector, images, wavelength_m: wavelengths_m[at] });
     }
     if cameras.is_empty() {
         let what = match uids.as_slice() {
@@ -65,7 +65,7 @@ pub(super) fn with_images(file: &mut FitsReader) -> Result<Vec<Camera>> {
 ///
 /// # Errors
 /// [`Error::File`](crate::Error::File), with what is missing.
-pub(crate) fn cameras(file: &mut FitsReader, mask: Option<&Path>) -> Result<Vec<Images>> {
+pub(crate) fn cameras(file: &mut FitsReader, mask: Option<&Path>) -> Result<Vec<HduImages>> {
     let cameras = with_images(file)?;
     let maps = texts(file, DETECTORS, "BAD_PIXEL_MAP")?;
     let mut read = Vec::new();
@@ -92,7 +92,7 @@ pub(crate) fn cameras(file: &mut FitsReader, mask: Option<&Path>) -> Result<Vec<
 }
 
 /// What the tables state of the instrument.
-fn facts(file: &mut FitsReader, camera: &Camera, in_counts: bool) -> Result<Vec<HeaderFact>> {
+fn facts(file: &mut FitsReader, camera: &AotCamera, in_counts: bool) -> Result<Vec<HeaderFact>> {
     let mut number = |column: &str| -> Result<f64> { Ok(reals(file, DETECTORS, column)?[camera.detector]) };
     let (scale_rad, exposure_s) = (number("PIXEL_SCALE")?, number("INTEGRATION_TIME")?);
     let (coadds, noise_e) = (number("COADDS")?, number("READOUT_NOISE")?);
@@ -121,7 +121,7 @@ fn facts(file: &mut FitsReader, camera: &Camera, in_counts: bool) -> Result<Vec<
 }
 
 /// A sentence on calibration frames in the file, which are not applied.
-fn calibrations(file: &mut FitsReader, camera: &Camera) -> Result<Option<String>> {
+fn calibrations(file: &mut FitsReader, camera: &AotCamera) -> Result<Option<String>> {
     let mut there = Vec::new();
     for column in ["DARK", "FLAT_FIELD", "SKY_BACKGROUND"] {
         if !texts(file, DETECTORS, column)?[camera.detector].is_empty() {
@@ -134,6 +134,6 @@ fn calibrations(file: &mut FitsReader, camera: &Camera) -> Result<Option<String>
 }
 
 /// Exposure of a camera, s: its integration time; NaN where the file does not say it.
-pub(super) fn exposure_s(file: &mut FitsReader, camera: &Camera) -> Result<f64> {
+pub(super) fn exposure_s(file: &mut FitsReader, camera: &AotCamera) -> Result<f64> {
     Ok(reals(file, DETECTORS, "INTEGRATION_TIME")?[camera.detector])
 }

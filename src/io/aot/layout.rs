@@ -16,19 +16,19 @@ pub(super) enum Kind {
 }
 
 /// A table.
-pub(super) struct Table {
+pub(super) struct AotTable {
     pub(super) name: &'static str,
     /// Name, kind and unit of each column.
     pub(super) columns: &'static [(&'static str, Kind, &'static str)],
 }
 
 /// The tables that are written.
-pub(super) const TABLES: &[Table] = &[
-    Table {
+pub(super) const TABLES: &[AotTable] = &[
+    AotTable {
         name: "AOT_TIME",
         columns: &[("UID", Text, ""), ("TIMESTAMPS", List, "s"), ("FRAME_NUMBERS", List, "count")],
     },
-    Table {
+    AotTable {
         name: "AOT_ATMOSPHERIC_PARAMETERS",
         columns: &[
             ("UID", Text, ""),
@@ -46,7 +46,7 @@ pub(super) const TABLES: &[Table] = &[
             ("TRANSFORMATION_MATRIX", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_ABERRATIONS",
         columns: &[
             ("UID", Text, ""),
@@ -56,7 +56,7 @@ pub(super) const TABLES: &[Table] = &[
             ("Y_OFFSETS", List, "rad"),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_TELESCOPES",
         columns: &[
             ("UID", Text, ""),
@@ -79,7 +79,7 @@ pub(super) const TABLES: &[Table] = &[
             ("ABERRATION_UID", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_SOURCES",
         columns: &[
             ("UID", Text, ""),
@@ -91,7 +91,7 @@ pub(super) const TABLES: &[Table] = &[
             ("FWHM", Real, "rad"),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_DETECTORS",
         columns: &[
             ("UID", Text, ""),
@@ -124,7 +124,7 @@ pub(super) const TABLES: &[Table] = &[
             ("TRANSFORMATION_MATRIX", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_SCORING_CAMERAS",
         columns: &[
             ("UID", Text, ""),
@@ -135,7 +135,7 @@ pub(super) const TABLES: &[Table] = &[
             ("ABERRATION_UID", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_WAVEFRONT_SENSORS",
         columns: &[
             ("UID", Text, ""),
@@ -158,7 +158,7 @@ pub(super) const TABLES: &[Table] = &[
             ("NCPA_UID", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_WAVEFRONT_SENSORS_SHACK_HARTMANN",
         columns: &[
             ("UID", Text, ""),
@@ -167,7 +167,7 @@ pub(super) const TABLES: &[Table] = &[
             ("SPOT_FWHM", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_WAVEFRONT_CORRECTORS",
         columns: &[
             ("UID", Text, ""),
@@ -181,7 +181,7 @@ pub(super) const TABLES: &[Table] = &[
             ("ABERRATION_UID", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_WAVEFRONT_CORRECTORS_DM",
         columns: &[
             ("UID", Text, ""),
@@ -191,7 +191,7 @@ pub(super) const TABLES: &[Table] = &[
             ("STROKE", Real, "m"),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_LOOPS",
         columns: &[
             ("UID", Text, ""),
@@ -207,7 +207,7 @@ pub(super) const TABLES: &[Table] = &[
             ("TIME_FILTER_DEN", Text, ""),
         ],
     },
-    Table {
+    AotTable {
         name: "AOT_LOOPS_CONTROL",
         columns: &[
             ("UID", Text, ""),

@@ -1,7 +1,7 @@
 //! Tables of a file of AOT.
 
 use super::configuration::{CONFIGURATION, configuration_card};
-use super::layout::{Kind, TABLES, Table};
+use super::layout::{AotTable, Kind, TABLES};
 use super::version::{VERSION, WRITTEN_VERSION};
 use crate::io::{Column, FitsWriter};
 use crate::{Error, Result};
@@ -108,7 +108,7 @@ impl AotTables {
         TABLES.iter().try_for_each(|table| file.table(table.name, &self.columns(table)))
     }
 
-    fn columns(&self, table: &Table) -> Vec<Column> {
+    fn columns(&self, table: &AotTable) -> Vec<Column> {
         let rows: Vec<_> = self.rows.iter().filter(|(name, _)| *name == table.name).map(|(_, cells)| cells).collect();
         let column = |&(name, kind, unit): &(&str, Kind, &str)| {
             let cells: Vec<Option<&Cell>> = rows

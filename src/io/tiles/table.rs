@@ -20,7 +20,7 @@ pub(super) fn size(hdu: &Hdu, key: &str, default: Option<i64>) -> Result<usize, 
 }
 
 /// The binary table of the tiles.
-pub(super) struct Table<'a> {
+pub(super) struct TileTable<'a> {
     /// Rows, and behind them the heap.
     pub(super) data: &'a [u8],
     pub(super) rows: usize,
@@ -30,7 +30,7 @@ pub(super) struct Table<'a> {
     columns: Vec<(String, String, usize)>,
 }
 
-impl<'a> Table<'a> {
+impl<'a> TileTable<'a> {
     pub(super) fn new(hdu: &Hdu, data: &'a [u8]) -> Result<Self, String> {
         let (row_bytes, rows) = (hdu.axes[0] as usize, hdu.axes[1] as usize);
         let heap = match integer(hdu, "THEAP")? {

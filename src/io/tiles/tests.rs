@@ -1,6 +1,6 @@
 //! Tile-compressed images: cfitsio compresses, and unpacks the same bytes for comparison.
 
-use crate::io::cfitsio::Handle;
+use crate::io::cfitsio::FitsHandle;
 use crate::io::read_images;
 use fitsio::sys;
 use std::ffi::c_int;
@@ -25,7 +25,7 @@ struct Method {
 /// A file with `values`, compressed by cfitsio.
 fn compressed(values: &[f64], method: Method) -> Vec<u8> {
     // cfitsio takes a descriptor of a tile that it has not written for 0: memory for the whole file, which is.
-    let mut file = Handle::create_in(1 << 20).unwrap();
+    let mut file = FitsHandle::create_in(1 << 20).unwrap();
     let (mut axes, mut first) = (AXES, [1_i64; 3]);
     // cfitsio compresses pixels of the image's own type only.
     let (code, mut bytes): (u32, Vec<u8>) = match method.bitpix {
@@ -121,7 +121,7 @@ fn real_pixels_are_those_that_cfitsio_reads() {
                 for tile in [None, Some([20, 10, 1]), Some([45, 37, 3])] {
                     let method = Method { bitpix, compression, tile, quantisation: (16.0, dither) };
                     let bytes = compressed(&values, method);
-                    let mut theirs = Handle::from_bytes(&bytes).unwrap();
+                    let mut theirs = FitsHandle::from_bytes(&bytes).unwrap();
                     theirs.move_to(1).unwrap();
                     // As for integers, so that undefined pixels become NaN.
                     let theirs = theirs.image(3, PIXELS, true).unwrap();

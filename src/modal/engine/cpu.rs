@@ -1,6 +1,6 @@
 //! CPU engine: each thread fits one image after the other.
 
-use super::lane::Lane;
+use super::lane::FitLane;
 use super::task::{Engine, FitTask, ImageFit, Prepare, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{CpuChain, LoadedImage, Polynomial, Precision};
@@ -14,7 +14,7 @@ use std::sync::{Mutex, PoisonError};
 pub(in crate::modal) struct CpuEngine<T: Polynomial, C: Borrow<CpuChain<T>>> {
     chain: C,
     /// Lanes that no thread uses now.
-    lanes: Mutex<Vec<Lane<T>>>,
+    lanes: Mutex<Vec<FitLane<T>>>,
     /// Threads that fit; `None` for all that there are.
     threads: Option<usize>,
     /// Exposures for evaluations, one for each image.
@@ -30,20 +30,20 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
     /// Takes all memory now, for up to `capacity` images a call.
     ///
     /// # Errors
-    /// As [`Lane::new`].
+    /// As [`FitLane::new`].
     pub(in crate::modal) fn allocate(&mut self, task: &FitTask, capacity: usize) -> Result<()> {
         let threads = self.threads.unwrap_or_else(rayon::current_num_threads).min(capacity);
         let chain = self.chain.borrow();
-        let lanes = (0..threads).map(|_| Lane::new(chain, precision::<T>(), task)).collect::<Result<Vec<_>>>()?;
+        let lanes = (0..threads).map(|_| FitLane::new(chain, precision::<T>(), task)).collect::<Result<Vec<_>>>()?;
         self.loaded = vec![chain.empty_image(); capacity];
         self.lanes = Mutex::new(lanes);
         Ok(())
     }
 
     /// Runs `work` with a lane.
-    fn with_lane<R>(&self, task: &FitTask, work: impl FnOnce(&mut Lane<T>) -> Result<R>) -> Result<R> {
+    fn with_lane<R>(&self, task: &FitTask, work: impl FnOnce(&mut FitLane<T>) -> Result<R>) -> Result<R> {
         let idle = self.lanes.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut lane = idle.map_or_else(|| Lane::new(self.chain.borrow(), precision::<T>(), task), Ok)?;
+        let mut lane = idle.map_or_else(|| FitLane::new(self.chain.borrow(), precision::<T>(), task), Ok)?;
         let outcome = work(&mut lane);
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).push(lane);
         outcome
@@ -54,7 +54,7 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
         let (chain, count) = (self.chain.borrow(), images.len());
         let lanes = self.lanes.get_mut().unwrap_or_else(PoisonError::into_inner);
         if lanes.is_empty() {
-            lanes.push(Lane::new(chain, precision::<T>(), task)?);
+            lanes.push(FitLane::new(chain, precision::<T>(), task)?);
         }
         let lane = &mut lanes[0];
         for (index, image) in images.iter_mut().enumerate() {
@@ -91,7 +91,7 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> Engine for CpuEngine<T
         let chain = self.chain.borrow();
         let lanes = self.lanes.get_mut().unwrap_or_else(PoisonError::into_inner);
         if lanes.is_empty() {
-            lanes.push(Lane::new(chain, precision::<T>(), task)?);
+            lanes.push(FitLane::new(chain, precision::<T>(), task)?);
         }
         let places = images.iter_mut().zip(&mut self.loaded).enumerate();
         places.into_iter().try_for_each(|(index, place)| lanes[0].load(chain, prepare, index, place))
@@ -104,12 +104,15 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> Engine for CpuEngine<T
         gradients: &mut [f64],
     ) -> Result<()> {
         let (chain, modes) = (self.chain.borrow(), coefficients_nm.ncols());
-        let one =
-            |lane: &mut Lane<T>, image: usize, loaded: &LoadedImage<T>, objective: &mut f64, gradient: &mut [f64]| {
-                let found = lane.evaluate(chain, loaded, coefficients_nm.row(image));
-                *objective = found.objective;
-                gradient.copy_from_slice(&found.gradient);
-            };
+        let one = |lane: &mut FitLane<T>,
+                   image: usize,
+                   loaded: &LoadedImage<T>,
+                   objective: &mut f64,
+                   gradient: &mut [f64]| {
+            let found = lane.evaluate(chain, loaded, coefficients_nm.row(image));
+            *objective = found.objective;
+            gradient.copy_from_slice(&found.gradient);
+        };
         let lanes = self.lanes.get_mut().unwrap_or_else(PoisonError::into_inner);
         if let [lane] = lanes.as_mut_slice() {
             let places = self.loaded.iter().zip(objectives).zip(gradients.chunks_exact_mut(modes)).enumerate();

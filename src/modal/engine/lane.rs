@@ -12,7 +12,7 @@ use ndarray::ArrayView1;
 use std::time::Instant;
 
 /// One thread's memory. After construction nothing is allocated.
-pub(super) struct Lane<T: Polynomial> {
+pub(super) struct FitLane<T: Polynomial> {
     preparer: Preparer,
     runner: Runner,
     loaded: LoadedImage<T>,
@@ -26,7 +26,7 @@ pub(super) struct Lane<T: Polynomial> {
     psf_at_nm: Vec<f64>,
 }
 
-impl<T: Polynomial> Lane<T> {
+impl<T: Polynomial> FitLane<T> {
     /// # Errors
     /// [`crate::Error::Value`] for settings out of range, or where no mode changes the image.
     pub(super) fn new(chain: &CpuChain<T>, precision: Precision, task: &FitTask) -> Result<Self> {

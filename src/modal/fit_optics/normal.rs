@@ -15,7 +15,7 @@ use ndarray::{Array1, Array2, ArrayView1, Axis};
 const MIN_IDENTIFIABLE_SHARE: f64 = 1e-5;
 
 /// One iteration of the fit of the optical parameters.
-pub(super) struct Iteration {
+pub(super) struct ParameterIteration {
     /// Median reduced χ² of the images.
     pub(super) reduced_chi2: f64,
     /// Pixels with a weight, of all images.
@@ -111,7 +111,7 @@ impl NormalEquations {
     }
 
     /// Solves for the step, the error bars and the identifiable shares.
-    pub(super) fn solve(self, estimator: &ModalFitter) -> Result<Iteration> {
+    pub(super) fn solve(self, estimator: &ModalFitter) -> Result<ParameterIteration> {
         if self.images == 0 {
             return Err(Error::Image("no image converged, and estimate.fit_optics needs at least one".into()));
         }
@@ -152,7 +152,7 @@ impl NormalEquations {
         }
         let drop = self.right_side.iter().zip(&step).map(|(right, step)| right * step).sum::<f64>();
         let expected_drop = drop / self.pixels.max(1) as f64;
-        Ok(Iteration {
+        Ok(ParameterIteration {
             reduced_chi2,
             pixels: self.pixels,
             expected_drop,

@@ -10,7 +10,7 @@ use super::super::mode_set::{ModeSet, SceneBasis};
 use super::super::model::Model;
 use super::super::model_cache::ModelCache;
 use super::super::recipe::Recipe;
-use super::normal::{Iteration, NormalEquations};
+use super::normal::{NormalEquations, ParameterIteration};
 use super::parameter::{self, FittedParameter, starts, telescope, with_numbers};
 use crate::control::Control;
 use crate::imaging::{Chain, CpuChain, Precision};
@@ -32,7 +32,7 @@ const ROUNDING: f64 = 1e-4;
 const MAX_STEP: f64 = 10.0;
 
 /// The search, with what all iterations share.
-pub(super) struct Search {
+pub(super) struct ParameterSearch {
     scene: System,
     pub(super) parameters: Vec<FittedParameter>,
     /// Steps of the derivatives.
@@ -49,7 +49,7 @@ pub(super) struct Search {
     control: Control,
 }
 
-impl Search {
+impl ParameterSearch {
     /// The search for the parameters that `scene` names in images of `cube`, and the scene's values of them; `native` as in
     /// [`ModalFitter::new`].
     ///
@@ -96,9 +96,9 @@ impl Search {
     /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is lower there, else `start`.
     pub(super) fn better_start(
         &self,
-        start: (Vec<f64>, Iteration),
+        start: (Vec<f64>, ParameterIteration),
         elsewhere: Vec<f64>,
-    ) -> Result<(Vec<f64>, Iteration)> {
+    ) -> Result<(Vec<f64>, ParameterIteration)> {
         let is_near = |((from, to), step): ((&f64, &f64), &f64)| (to - from).abs() <= MAX_STEP * step;
         if start.0.iter().zip(&elsewhere).zip(&self.steps).all(is_near) {
             return Ok(start);
@@ -113,13 +113,13 @@ impl Search {
 
     /// Iterates from `start`, values and their iteration, and returns the fitter with the median reduced χ². `own` are the scene's
     /// values.
-    pub(super) fn run(&self, own: &[f64], start: (Vec<f64>, Iteration)) -> Result<(ModalFitter, f64)> {
+    pub(super) fn run(&self, own: &[f64], start: (Vec<f64>, ParameterIteration)) -> Result<(ModalFitter, f64)> {
         let (values, iteration) = self.minimum(start)?;
         Ok((self.fitter_at(own, &values, &iteration)?, iteration.reduced_chi2))
     }
 
     /// The values of the minimum that iterations from `start` reach, with the last iteration.
-    pub(super) fn minimum(&self, start: (Vec<f64>, Iteration)) -> Result<(Vec<f64>, Iteration)> {
+    pub(super) fn minimum(&self, start: (Vec<f64>, ParameterIteration)) -> Result<(Vec<f64>, ParameterIteration)> {
         let (mut values, mut iteration) = start;
         for number in 1..=MAX_ITERATIONS {
             let mut step = iteration.step.clone();
@@ -164,7 +164,7 @@ impl Search {
     }
 
     /// The fitter of the scene with `values`, those of `iteration`.
-    pub(super) fn fitter_at(&self, own: &[f64], values: &[f64], iteration: &Iteration) -> Result<ModalFitter> {
+    pub(super) fn fitter_at(&self, own: &[f64], values: &[f64], iteration: &ParameterIteration) -> Result<ModalFitter> {
         let scene = with_numbers(&self.scene, &self.parameters, values)?;
         let mut estimator = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene)?)?;
         estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
@@ -173,7 +173,13 @@ impl Search {
     }
 
     /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's values.
-    fn fitted(&self, telescope: &Telescope, own: &[f64], values: &[f64], last: &Iteration) -> Vec<FittedOptic> {
+    fn fitted(
+        &self,
+        telescope: &Telescope,
+        own: &[f64],
+        values: &[f64],
+        last: &ParameterIteration,
+    ) -> Vec<FittedOptic> {
         let mut fitted = Vec::new();
         for (i, parameter) in self.parameters.iter().enumerate() {
             if let FittedParameter::Number(of) = parameter {
@@ -247,7 +253,7 @@ impl Search {
     }
 
     /// Fits the images with these values of the parameters, and computes the next step.
-    pub(super) fn iterate(&self, values: &[f64]) -> Result<Iteration> {
+    pub(super) fn iterate(&self, values: &[f64]) -> Result<ParameterIteration> {
         self.control.check("the optical parameters were not fitted yet")?;
         let scene = with_numbers(&self.scene, &self.parameters, values)?;
         // Far from the right parameters restarts do not help.

@@ -7,7 +7,7 @@ use ndarray::Array2;
 const LOVASZ: f64 = 0.75;
 
 /// A basis of the integer vectors that are short and nearly orthogonal in a metric.
-pub(super) struct Lattice {
+pub(super) struct IntegerLattice {
     /// Its vectors.
     pub(super) basis: Vec<Vec<i64>>,
     /// Scalar products of the basis.
@@ -16,7 +16,7 @@ pub(super) struct Lattice {
     products: Array2<f64>,
 }
 
-impl Lattice {
+impl IntegerLattice {
     /// The reduced basis in the metric `gram`, which is positive definite.
     pub(super) fn new(gram: Array2<f64>) -> Self {
         let size = gram.nrows();
@@ -127,7 +127,7 @@ mod tests {
         let (stiff, soft) = (1e4, 1.0);
         // stiff (4 x − 3 y)² + soft (x² + y²)
         let gram = ndarray::arr2(&[[16.0 * stiff + soft, -12.0 * stiff], [-12.0 * stiff, 9.0 * stiff + soft]]);
-        let basis = Lattice::new(gram).basis;
+        let basis = IntegerLattice::new(gram).basis;
         assert_eq!(basis[0].iter().map(|x| x.abs()).collect::<Vec<_>>(), [3, 4]);
         let determinant = basis[0][0] * basis[1][1] - basis[0][1] * basis[1][0];
         assert_eq!(determinant.abs(), 1, "{basis:?} spans all integers");
@@ -139,7 +139,7 @@ mod tests {
         let size = 12;
         // 1e6 (Σ x)² + Σ x²
         let gram = Array2::from_shape_fn((size, size), |(i, j)| 1e6 + f64::from(u8::from(i == j)));
-        let basis = Lattice::new(gram).basis;
+        let basis = IntegerLattice::new(gram).basis;
         for vector in &basis[..size - 1] {
             assert_eq!(vector.iter().sum::<i64>(), 0, "{vector:?}");
         }
@@ -159,6 +159,6 @@ mod tests {
         };
         let all = (-20..=20).flat_map(|x| (-20..=20).map(move |y| (x, y)));
         let nearest = all.min_by(|a, b| form(a.0, a.1).total_cmp(&form(b.0, b.1))).unwrap();
-        assert_eq!(Lattice::new(gram.clone()).near_minimum(&gradient), [nearest.0, nearest.1]);
+        assert_eq!(IntegerLattice::new(gram.clone()).near_minimum(&gradient), [nearest.0, nearest.1]);
     }
 }

@@ -6,7 +6,7 @@
 //! of satellite navigation, Teunissen 1995, J. Geodesy 70, 65). The sampler starts near the minimum of χ² over all integers, which the
 //! basis gives, and draws multiples of its vectors.
 
-use super::lattice::Lattice;
+use super::lattice::IntegerLattice;
 use ndarray::{Array1, Array2, ArrayView2, s};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
@@ -49,7 +49,7 @@ impl PistonPrior {
 }
 
 /// Integers of all segments, and the derivatives of χ² there.
-pub(super) struct Search {
+pub(super) struct IntegerSearch {
     wavelengths_nm: Vec<f64>,
     /// Pistons as the channels see them, `[channel, segment]`, nm.
     seen_nm: Array2<f64>,
@@ -63,7 +63,7 @@ pub(super) struct Search {
     range_nm: f64,
 }
 
-impl Search {
+impl IntegerSearch {
     pub(super) fn new(channels: &[ColourChannel], covariance_nm2: &Array2<f64>, pistons: usize, range_nm: f64) -> Self {
         let modes = covariance_nm2.nrows();
         let along = channels.iter().fold(Array1::zeros(modes), |sum: Array1<f64>, channel| {
@@ -191,7 +191,7 @@ impl Search {
         });
         let slope = |at: &(usize, usize)| self.wavelengths_nm[at.0] * (self.gradient[*at] + spread * self.seen_nm[*at]);
         let gradient: Vec<f64> = free.iter().map(slope).collect();
-        let lattice = Lattice::new(gram);
+        let lattice = IntegerLattice::new(gram);
         let start = self.joint_move(&free, &lattice.near_minimum(&gradient));
         self.shift(&start, 1);
         lattice.basis.iter().map(|vector| self.joint_move(&free, vector)).collect()

@@ -8,7 +8,7 @@ use std::sync::Arc;
 /// Low-passes and decimates frames by cropping their Fourier transforms. The sum of an image is kept; a PSF whose
 /// spectrum ends below the new Nyquist frequency keeps its values at the new pixels, and white noise stays white.
 /// Nothing is allocated after construction.
-pub(super) struct Reduction {
+pub(super) struct Decimation {
     along_x: Line,
     along_y: Line,
     /// The frame reduced along x, `[x][y]`, so that the reduction along y reads contiguous lines.
@@ -17,7 +17,7 @@ pub(super) struct Reduction {
     reduced: Array2<f64>,
 }
 
-impl Reduction {
+impl Decimation {
     /// From `frame` to `reduced` pixels, both along x and y, all even.
     pub(super) fn new(frame: [usize; 2], reduced: [usize; 2]) -> Self {
         Self {

@@ -32,7 +32,7 @@ fn reduction_keeps_sum_and_values_of_a_band_limited_image() {
     let wave =
         |y: f64, x: f64| 3.0 + (TAU * 5.0 * x / 24.0 + 0.3).cos() + 2.0 * (TAU * (4.0 * y - 2.0 * x) / 24.0).sin();
     let data = Array2::from_shape_fn((24, 24), |(v, u)| wave(v as f64, u as f64));
-    let reduced = Reduction::new([24; 2], [12; 2]).run(data.view()).clone();
+    let reduced = Decimation::new([24; 2], [12; 2]).run(data.view()).clone();
     for ((v, u), &value) in reduced.indexed_iter() {
         // Each new pixel holds the light of four: the axis, pixel 12 of 24, becomes pixel 6 of 12.
         let expected = 4.0 * wave(2.0 * v as f64, 2.0 * u as f64);
@@ -45,7 +45,7 @@ fn reduction_keeps_sum_and_values_of_a_band_limited_image() {
 fn a_reduction_carries_white_noise_along() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let data = Array2::from_shape_fn((128, 128), |_| rng.random::<f64>() - 0.5);
-    let reduced = Reduction::new([128; 2], [64; 2]).run(data.view()).clone();
+    let reduced = Decimation::new([128; 2], [64; 2]).run(data.view()).clone();
     let variance = |a: &Array2<f64>| a.mapv(|v| v * v).mean().unwrap();
     // Variance of a sum of four; 4,096 samples scatter by √(2/4096) = 2 %: three of these.
     let ratio = variance(&reduced) / variance(&data);

@@ -12,7 +12,7 @@
 //! exceeds h once in exp(h) estimates at most (Lorden 1971, Ann. Math. Stat. 42, 1897).
 
 use crate::Result;
-use crate::tracking::bytes::{Reader, Writer, damaged};
+use crate::tracking::bytes::{ByteReader, Writer, damaged};
 use crate::tracking::filter::Innovation;
 use crate::tracking::settings::AppliedPart;
 use ndarray::{Array1, Array2};
@@ -106,7 +106,7 @@ impl Expected {
         [self.log_ratio, self.projection, self.information].into_iter().for_each(|value| writer.real(value));
     }
 
-    pub(super) fn read(size: usize, reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(size: usize, reader: &mut ByteReader) -> Result<Self> {
         let number = reader.number()? as i64;
         let part = match reader.number()? {
             0 => AppliedPart::Whole,

@@ -4,11 +4,11 @@ use super::expected::Expected;
 use crate::Result;
 use crate::tracking::change_detector::{Alarm, ChangeDetector};
 use crate::tracking::coordinates::Coordinates;
-use crate::tracking::filter::{Filter, Innovation};
+use crate::tracking::filter::{Innovation, KalmanFilter};
 use crate::tracking::motion::Motion;
-use crate::tracking::pointing::{Pointing, PointingChange};
-use crate::tracking::settings::{Change, Observation, TrackerSettings};
-use crate::tracking::steps::{Step, attribute, most_likely_step};
+use crate::tracking::pointing::{PointingChange, PointingTracker};
+use crate::tracking::settings::{Change, TimedEstimate, TrackerSettings};
+use crate::tracking::steps::{ModeStep, attribute, most_likely_step};
 use crate::tracking::threshold::chi2_limit;
 use ndarray::{Array1, Array2};
 
@@ -23,14 +23,14 @@ pub(super) const MOST_OUTLIERS: usize = 10;
 const OPENING: f64 = 100.0;
 /// All that observations have left.
 #[derive(Debug, Clone)]
-pub(super) struct Memory {
+pub(super) struct TrackerMemory {
     pub(super) coordinates: Coordinates,
     /// Steps of 1 nm of each segment mode, `[coordinate, mode]`.
     pub(super) steps: Array2<f64>,
-    pub(super) filter: Filter,
+    pub(super) filter: KalmanFilter,
     pub(super) detector: ChangeDetector,
     pub(super) motion: Motion,
-    pub(super) pointing: Pointing,
+    pub(super) pointing: PointingTracker,
     /// Time of the last observation, s, accepted or not, and of the last accepted one.
     pub(super) time_s: f64,
     pub(super) learnt_s: f64,
@@ -49,7 +49,7 @@ pub(super) struct Measured {
 }
 
 /// An innovation with what follows from it.
-pub(super) struct Compared {
+pub(super) struct ComparedEstimate {
     /// Of all coordinates, which the filter uses.
     pub(super) innovation: Innovation,
     /// The same without what unsteady modes do by themselves, which is tested; `None` where there are none.
@@ -62,19 +62,19 @@ pub(super) struct Compared {
     pub(super) largest: Option<usize>,
 }
 
-impl Compared {
+impl ComparedEstimate {
     /// The innovation in which changes are looked for.
     pub(super) fn tested(&self) -> &Innovation {
         self.without_unsteady.as_ref().unwrap_or(&self.innovation)
     }
 }
 
-impl Memory {
-    pub(super) fn new(settings: &TrackerSettings, observation: &Observation<'_>) -> Result<Self> {
+impl TrackerMemory {
+    pub(super) fn new(settings: &TrackerSettings, observation: &TimedEstimate<'_>) -> Result<Self> {
         let coordinates =
             Coordinates::new(observation.covariance_nm2, &settings.segment_modes, settings.pointing_modes.view())?;
         let z_nm = coordinates.reduce(observation.coefficients_nm);
-        let filter = Filter::new(z_nm, coordinates.reduce_covariance(observation.covariance_nm2));
+        let filter = KalmanFilter::new(z_nm, coordinates.reduce_covariance(observation.covariance_nm2));
         let motion = Motion::new(settings, coordinates.sizes());
         Ok(Self::with(settings, coordinates, filter, motion, [observation.time_s; 2]))
     }
@@ -82,14 +82,14 @@ impl Memory {
     pub(super) fn with(
         settings: &TrackerSettings,
         coordinates: Coordinates,
-        filter: Filter,
+        filter: KalmanFilter,
         motion: Motion,
         [time_s, learnt_s]: [f64; 2],
     ) -> Self {
         Self {
             steps: coordinates.steps(&settings.segment_modes),
             detector: ChangeDetector::new(coordinates.len(), settings.false_alarms_per_step()),
-            pointing: Pointing::new(settings.false_alarms_per_step()),
+            pointing: PointingTracker::new(settings.false_alarms_per_step()),
             stepped_nm: Array1::zeros(coordinates.len()),
             coordinates,
             filter,
@@ -101,7 +101,7 @@ impl Memory {
         }
     }
 
-    pub(super) fn measure(&self, observation: &Observation<'_>) -> Measured {
+    pub(super) fn measure(&self, observation: &TimedEstimate<'_>) -> Measured {
         Measured {
             time_s: observation.time_s,
             z_nm: self.coordinates.reduce(observation.coefficients_nm),
@@ -110,7 +110,7 @@ impl Memory {
     }
 
     /// An observation beside what `filter` predicts.
-    pub(super) fn compare(&self, filter: &Filter, measured: &Measured) -> Result<Compared> {
+    pub(super) fn compare(&self, filter: &KalmanFilter, measured: &Measured) -> Result<ComparedEstimate> {
         let covariance_nm2 = plus_diagonal(&measured.covariance_nm2, &self.motion.white_nm2());
         let innovation = filter.innovation(&measured.z_nm, &covariance_nm2)?;
         let unsteady = self.motion.unsteady();
@@ -125,7 +125,7 @@ impl Memory {
         let largest = most_likely_step(tested, &white_steps).filter(|step| step.statistic > mode_limit);
         outlier = outlier.or(largest.map(|step| (step.statistic, mode_limit)));
         let largest = largest.map(|step| step.mode);
-        Ok(Compared { innovation, without_unsteady, white_steps, outlier, largest })
+        Ok(ComparedEstimate { innovation, without_unsteady, white_steps, outlier, largest })
     }
 
     /// χ² of an outlier in the coordinates that are tested.
@@ -139,7 +139,7 @@ impl Memory {
         &mut self,
         suspect: &Measured,
         next: &Measured,
-        compared: &Compared,
+        compared: &ComparedEstimate,
     ) -> Result<Option<Vec<Change>>> {
         // The mean of the two, and how it differs from the state.
         let (white_nm2, unsteady) = (self.motion.white_nm2(), self.motion.unsteady());
@@ -194,7 +194,7 @@ impl Memory {
         let (white_nm2, unsteady) = (self.motion.white_nm2(), self.motion.unsteady());
         let walk_nm2 = self.motion.added_nm2((next.time_s - suspect.time_s).max(0.0) / 3600.0);
         let first_nm2 = plus_diagonal(&suspect.covariance_nm2, &(&white_nm2 + &walk_nm2));
-        let pair = Filter::new(suspect.z_nm.clone(), first_nm2);
+        let pair = KalmanFilter::new(suspect.z_nm.clone(), first_nm2);
         let next_nm2 = plus_diagonal(&next.covariance_nm2, &white_nm2);
         let chi2 = pair.innovation_without(&next.z_nm, &next_nm2, &unsteady)?.chi2();
         Ok(chi2 < self.outlier_limit())
@@ -215,12 +215,12 @@ impl Memory {
     pub(super) fn accept(
         &mut self,
         measured: &Measured,
-        compared: Compared,
+        compared: ComparedEstimate,
         expected: &mut [Expected],
     ) -> Result<Vec<Change>> {
         self.outliers = 0;
         let tested = compared.tested().white.clone();
-        let Compared { mut innovation, white_steps, .. } = compared;
+        let ComparedEstimate { mut innovation, white_steps, .. } = compared;
         self.detector.look_in(self.coordinates.len() - self.motion.unsteady().len());
         let before = self.filter.clone();
         let whitened_gain = self.filter.update(&innovation);
@@ -250,8 +250,8 @@ impl Memory {
     }
 
     /// Opens the state along a step, of which the drift's rate learns nothing.
-    fn follow(&mut self, step: Step, [since_s, detected_s]: [f64; 2]) -> Change {
-        let Step { mode, size_nm, error_nm, statistic } = step;
+    fn follow(&mut self, step: ModeStep, [since_s, detected_s]: [f64; 2]) -> Change {
+        let ModeStep { mode, size_nm, error_nm, statistic } = step;
         self.filter.open(self.steps.column(mode), (OPENING * error_nm).powi(2));
         self.stepped_nm.scaled_add(size_nm, &self.steps.column(mode));
         let threshold = self.detector.mode_threshold;
@@ -260,10 +260,10 @@ impl Memory {
     }
 
     /// Takes an observation for the state, after more outliers than a disturbance has.
-    pub(super) fn start_again(&mut self, measured: &Measured, compared: &Compared) -> Result<Change> {
+    pub(super) fn start_again(&mut self, measured: &Measured, compared: &ComparedEstimate) -> Result<Change> {
         let covariance_nm2 = plus_diagonal(&measured.covariance_nm2, &self.motion.white_nm2());
         let [size_nm, size_error_nm] = self.moved_nm(&measured.z_nm, &covariance_nm2);
-        self.filter = Filter::new(measured.z_nm.clone(), covariance_nm2);
+        self.filter = KalmanFilter::new(measured.z_nm.clone(), covariance_nm2);
         self.detector.reset();
         self.outliers = 0;
         Ok(Change {
@@ -279,7 +279,7 @@ impl Memory {
     }
 
     /// Follows the star; a move that this observation proves.
-    pub(super) fn point(&mut self, observation: &Observation<'_>) -> Option<PointingChange> {
+    pub(super) fn point(&mut self, observation: &TimedEstimate<'_>) -> Option<PointingChange> {
         observation.pointing_nm.and_then(|place_nm| self.pointing.update(observation.time_s, place_nm))
     }
 

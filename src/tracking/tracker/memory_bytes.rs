@@ -1,14 +1,14 @@
 //! Bytes of what observations have left in a tracker.
 
-use super::memory::{Measured, Memory};
+use super::memory::{Measured, TrackerMemory};
 use crate::Result;
 use crate::tracking::TrackerSettings;
-use crate::tracking::bytes::{Reader, Writer, damaged};
+use crate::tracking::bytes::{ByteReader, Writer, damaged};
 use crate::tracking::coordinates::Coordinates;
-use crate::tracking::filter::Filter;
+use crate::tracking::filter::KalmanFilter;
 use crate::tracking::motion::Motion;
 
-impl Memory {
+impl TrackerMemory {
     pub(super) fn write(&self, writer: &mut Writer) {
         self.coordinates.write(writer);
         self.filter.write(writer);
@@ -27,10 +27,10 @@ impl Memory {
         self.detector.write(writer);
     }
 
-    pub(super) fn read(settings: &TrackerSettings, reader: &mut Reader) -> Result<Self> {
+    pub(super) fn read(settings: &TrackerSettings, reader: &mut ByteReader) -> Result<Self> {
         let coordinates = Coordinates::read(reader)?;
         let (modes, size) = (settings.segment_modes.len(), coordinates.len());
-        let filter = Filter::read(reader)?;
+        let filter = KalmanFilter::read(reader)?;
         let fits = filter.state_nm.len() == size && filter.covariance_nm2.dim() == (size, size);
         if !fits || coordinates.of_segments > size || settings.segment_modes.end > coordinates.modes() {
             return Err(damaged());

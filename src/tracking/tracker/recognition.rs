@@ -2,7 +2,7 @@
 
 use super::Tracker;
 use super::expected::{ACTUATOR_ERROR, Expected};
-use super::memory::{Compared, Measured, Memory};
+use super::memory::{ComparedEstimate, Measured, TrackerMemory};
 use crate::tracking::bytes::damaged;
 use crate::tracking::settings::{Applied, AppliedPart, Change, NIGHT_S, Update};
 use crate::{Error, Result};
@@ -65,8 +65,8 @@ impl Tracker {
     }
 
     /// Weighs an estimate for all corrections; the place of the one that it shows to be applied.
-    pub(super) fn weigh(&mut self, compared: &Compared) -> Option<usize> {
-        let limit = self.memory.as_ref().map_or(f64::INFINITY, Memory::outlier_limit);
+    pub(super) fn weigh(&mut self, compared: &ComparedEstimate) -> Option<usize> {
+        let limit = self.memory.as_ref().map_or(f64::INFINITY, TrackerMemory::outlier_limit);
         self.expected.iter_mut().for_each(|expected| expected.weigh(compared.tested(), limit));
         let threshold = self.applied_threshold();
         self.likeliest().filter(|&place| self.expected[place].log_ratio > threshold)
@@ -108,7 +108,7 @@ impl Tracker {
     }
 }
 
-impl Memory {
+impl TrackerMemory {
     /// Moves the state by a correction, whose size is known to the error of actuators; the drift's rate learns nothing of it.
     fn move_by(&mut self, taken: &Expected) {
         self.filter.state_nm += taken.lead_nm();

@@ -1,6 +1,6 @@
 //! Scenes, simulators and averages that the tests share.
 
-use cophase::ao::{AlignedBuffer, Footprint, Frame, Simulator};
+use cophase::ao::{AlignedBuffer, Footprint, LoopFrame, Simulator};
 use cophase::scene::Scene;
 
 /// Settings without turbulence.
@@ -39,7 +39,12 @@ pub fn simulator(settings: &[(&str, &str)]) -> Simulator {
 }
 
 /// Mean of a quantity over `frames` frames, after `settle` frames.
-pub fn mean(simulator: &mut Simulator, settle: usize, frames: usize, mut quantity: impl FnMut(&Frame) -> f64) -> f64 {
+pub fn mean(
+    simulator: &mut Simulator,
+    settle: usize,
+    frames: usize,
+    mut quantity: impl FnMut(&LoopFrame) -> f64,
+) -> f64 {
     for _ in 0..settle {
         simulator.step().unwrap();
     }

@@ -1,7 +1,7 @@
 //! Corrections that somebody applies, or not: what the estimates alone show.
 
 use super::walk::{INTERVAL_S, Walk, settings};
-use cophase::tracking::{AppliedPart, NIGHT_S, Tracker, Update, Verdict};
+use cophase::tracking::{AppliedPart, NIGHT_S, Tracker, TrackerVerdict, Update};
 use ndarray::{Array1, s};
 
 const SEGMENTS: usize = 12;
@@ -38,7 +38,7 @@ impl Night {
         for image in 1..=most {
             let update = self.image();
             if update.applied.is_some() {
-                assert!(update.changes.is_empty() && update.verdict == Verdict::Accepted);
+                assert!(update.changes.is_empty() && update.verdict == TrackerVerdict::Accepted);
                 return Some((image, update));
             }
             assert!(update.changes.is_empty(), "image {image}: {:?}", update.changes);

@@ -6,7 +6,7 @@ mod pointing;
 mod walk;
 
 use cophase::Error;
-use cophase::tracking::{NIGHT_S, Observation, Tracker, TrackerSettings, Verdict, change_threshold};
+use cophase::tracking::{NIGHT_S, TimedEstimate, Tracker, TrackerSettings, TrackerVerdict, change_threshold};
 use ndarray::{Array1, Array2};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -120,7 +120,7 @@ fn night_without_jumps_has_the_requested_alarm_rate() {
         let seen_nm = walk.observe();
         let update = tracker.update(walk.observation(step as f64 * INTERVAL_S, &seen_nm)).unwrap();
         alarms += update.changes.len();
-        outliers += usize::from(update.verdict != Verdict::Accepted);
+        outliers += usize::from(update.verdict != TrackerVerdict::Accepted);
     }
     // A factor of two either way: 40 alarms scatter by 6, so that this is three standard deviations and the error of the formula.
     assert!((20..=80).contains(&alarms), "{alarms} alarms, {outliers} outliers");
@@ -179,11 +179,11 @@ fn an_outlier_leaves_the_state_and_a_shift_of_all_is_a_change() {
     let other_bad: Array1<f64> = bad.iter().rev().map(|nm| -3.0 * nm).collect();
     for (time_s, seen_nm) in [(20.0, &bad), (21.0, &other_bad)] {
         let update = tracker.update(walk.observation(time_s, seen_nm)).unwrap();
-        assert!(matches!(update.verdict, Verdict::Outlier { chi2, limit, .. } if chi2 > limit), "{update:?}");
+        assert!(matches!(update.verdict, TrackerVerdict::Outlier { chi2, limit, .. } if chi2 > limit), "{update:?}");
         assert_eq!(tracker.coefficients_nm().unwrap(), before);
     }
     let update = tracker.update(walk.observation(22.0, &still)).unwrap();
-    assert!(update.verdict == Verdict::Accepted && update.changes.is_empty());
+    assert!(update.verdict == TrackerVerdict::Accepted && update.changes.is_empty());
     // The same twice is no outlier.
     tracker.update(walk.observation(23.0, &bad)).unwrap();
     let update = tracker.update(walk.observation(24.0, &bad)).unwrap();
@@ -249,7 +249,7 @@ fn odd_times_and_bad_input_do_no_harm() {
     assert!(tracker.coefficients_nm().is_none());
     let still = Array1::zeros(9);
     for time_s in [100.0, 100.0, 50.0, -3.0, 1e9, 0.0] {
-        assert_eq!(tracker.update(walk.observation(time_s, &still)).unwrap().verdict, Verdict::Accepted);
+        assert_eq!(tracker.update(walk.observation(time_s, &still)).unwrap().verdict, TrackerVerdict::Accepted);
     }
     let before = tracker.to_bytes();
     let (covariance, mut negative) = (walk.covariance_nm2.clone(), walk.covariance_nm2.clone());
@@ -264,7 +264,7 @@ fn odd_times_and_bad_input_do_no_harm() {
     ] {
         let (coefficients_nm, covariance_nm2) = (seen_nm.view(), covariance_nm2.view());
         let pointing_nm = None;
-        assert!(tracker.update(Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm }).is_err());
+        assert!(tracker.update(TimedEstimate { time_s, coefficients_nm, covariance_nm2, pointing_nm }).is_err());
         assert_eq!(tracker.to_bytes(), before);
     }
     for bad in [

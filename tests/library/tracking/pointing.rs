@@ -1,7 +1,7 @@
 //! Motion that is no step: of the star, and of a focus that breathes.
 
 use super::walk::{INTERVAL_S, Walk, settings};
-use cophase::tracking::{NIGHT_S, Observation, Tracker, TrackerSettings, Update, Verdict};
+use cophase::tracking::{NIGHT_S, TimedEstimate, Tracker, TrackerSettings, TrackerVerdict, Update};
 use ndarray::{Array1, Array2};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -49,7 +49,7 @@ impl Night {
         self.images += 1;
         let time_s = self.images as f64 * INTERVAL_S;
         self.tracker
-            .update(Observation { pointing_nm: Some(place_nm), ..self.walk.observation(time_s, &seen_nm) })
+            .update(TimedEstimate { pointing_nm: Some(place_nm), ..self.walk.observation(time_s, &seen_nm) })
             .unwrap()
     }
 
@@ -81,7 +81,8 @@ fn star_that_moves_changes_no_alarm() {
         .collect();
     assert!(matches!(named[..], [(60..62, Some(7))]), "{named:?}");
     for (one, other) in still.iter().zip(&moving) {
-        let of = |update: &Update| (update.verdict == Verdict::Accepted, update.changes.first().map(|c| c.segment));
+        let of =
+            |update: &Update| (update.verdict == TrackerVerdict::Accepted, update.changes.first().map(|c| c.segment));
         assert_eq!(of(one), of(other));
     }
     // What is left of 540 nm is rounding.
@@ -152,7 +153,7 @@ fn focus_that_breathes_is_no_step_and_hides_none() {
             let star = night.star(70.0);
             let update = night.image(star, breath(image));
             assert!(
-                update.changes.is_empty() && update.verdict == Verdict::Accepted,
+                update.changes.is_empty() && update.verdict == TrackerVerdict::Accepted,
                 "slow {is_slow}, image {image}: {update:?}"
             );
         }

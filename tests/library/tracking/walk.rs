@@ -1,6 +1,6 @@
 //! Errors that drift, and estimates of them.
 
-use cophase::tracking::{Observation, TrackerSettings};
+use cophase::tracking::{TimedEstimate, TrackerSettings};
 use ndarray::{Array1, Array2, s};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -95,8 +95,8 @@ impl Walk {
         centred
     }
 
-    pub fn observation<'a>(&'a self, time_s: f64, coefficients_nm: &'a Array1<f64>) -> Observation<'a> {
+    pub fn observation<'a>(&'a self, time_s: f64, coefficients_nm: &'a Array1<f64>) -> TimedEstimate<'a> {
         let (coefficients_nm, covariance_nm2) = (coefficients_nm.view(), self.covariance_nm2.view());
-        Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm: None }
+        TimedEstimate { time_s, coefficients_nm, covariance_nm2, pointing_nm: None }
     }
 }

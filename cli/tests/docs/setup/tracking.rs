@@ -7,7 +7,7 @@ pub fn example() -> cophase::Result<()> {
     let (time_s, coefficients_nm, covariance_nm2) = (0.0, Array1::zeros(36), Array2::eye(36));
     let (coefficients_nm, covariance_nm2) = (coefficients_nm.view(), covariance_nm2.view());
 
-    use cophase::tracking::{Observation, Tracker, TrackerSettings};
+    use cophase::tracking::{TimedEstimate, Tracker, TrackerSettings};
 
     let mut tracker = Tracker::new(TrackerSettings {
         segment_modes: 0..36,                      // coefficients that are segment modes; the rest is NCPA
@@ -18,7 +18,7 @@ pub fn example() -> cophase::Result<()> {
         false_alarms_per_night: 1.0,
         nominal_interval_s: 10.0,
     })?;
-    let update = tracker.update(Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm: None })?;
+    let update = tracker.update(TimedEstimate { time_s, coefficients_nm, covariance_nm2, pointing_nm: None })?;
     for change in &update.changes { /* segment, size, error bar, since when */ }
 
     assert!(update.changes.is_empty());

@@ -14,7 +14,7 @@ use super::Progress;
 use cophase::Result;
 use cophase::modal::{ModalFitter, Pointing};
 use cophase::scene::Scene;
-use cophase::tracking::{Change, Observation, Tracker, TrackerSettings, Verdict};
+use cophase::tracking::{Change, TimedEstimate, Tracker, TrackerSettings, TrackerVerdict};
 use disturbance::INTERVAL_S;
 use images::{Estimated, Observatory};
 use ndarray::ArrayView1;
@@ -103,13 +103,13 @@ fn followed(fitter: &ModalFitter, steps: &[Step], estimates: &[Option<Estimated>
             refused[0] += 1;
             continue;
         };
-        let update = tracker.update(Observation {
+        let update = tracker.update(TimedEstimate {
             time_s: image as f64 * INTERVAL_S,
             coefficients_nm: ArrayView1::from(&estimate.coefficients_nm),
             covariance_nm2: estimate.covariance_nm2.view(),
             pointing_nm: Some(pointing.of(&estimate.coefficients_nm, estimate.tip_tilt_nm)),
         })?;
-        refused[1] += usize::from(update.verdict != Verdict::Accepted);
+        refused[1] += usize::from(update.verdict != TrackerVerdict::Accepted);
         moves += usize::from(update.pointing.is_some());
         changes.extend(update.changes.into_iter().map(|change| (image, change)));
     }

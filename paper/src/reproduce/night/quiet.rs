@@ -4,7 +4,7 @@ use super::scenario::{DRIFT_NM_PER_SQRT_HOUR, INTERVAL_S, normal};
 use super::track::settings;
 use crate::experiment::Progress;
 use cophase::source::stream;
-use cophase::tracking::{NIGHT_S, Observation, Tracker};
+use cophase::tracking::{NIGHT_S, TimedEstimate, Tracker};
 use cophase::{Error, Result};
 use cophase_numerics::decompositions::symmetric_eigen;
 use ndarray::{Array1, Array2, ArrayView2, s};
@@ -65,7 +65,7 @@ fn one(
         let seen_nm = &truth_nm + &root_nm.dot(&white);
         let time_s = frame as f64 * INTERVAL_S;
         let coefficients_nm = seen_nm.view();
-        let observation = Observation { time_s, coefficients_nm, covariance_nm2, pointing_nm: None };
+        let observation = TimedEstimate { time_s, coefficients_nm, covariance_nm2, pointing_nm: None };
         alarms += tracker.update(observation)?.changes.len();
     }
     Ok(alarms)

@@ -5,7 +5,7 @@ use super::scenario::{INTERVAL_S, Jump, Scenario};
 use crate::experiment::Case;
 use crate::experiment::statistics::{median, rms};
 use cophase::Result;
-use cophase::tracking::{Change, Observation, Tracker, TrackerSettings, Verdict};
+use cophase::tracking::{Change, TimedEstimate, Tracker, TrackerSettings, TrackerVerdict};
 use ndarray::{Array2, ArrayView1};
 
 /// Images after a jump within which a change of its segment is that jump, and no false alarm.
@@ -64,13 +64,13 @@ impl Followed {
                 seen.verdict = estimate.status;
                 // As a service does: a fit that the model does not explain is refused before it is tracked.
                 if estimate.status == "ok" {
-                    let update = tracker.update(Observation {
+                    let update = tracker.update(TimedEstimate {
                         time_s: frame as f64 * INTERVAL_S,
                         coefficients_nm: ArrayView1::from(&estimate.coefficients_nm),
                         covariance_nm2: estimate.covariance_nm2.view(),
                         pointing_nm: None,
                     })?;
-                    seen.is_used = update.verdict == Verdict::Accepted;
+                    seen.is_used = update.verdict == TrackerVerdict::Accepted;
                     seen.verdict = if seen.is_used { "used" } else { "outlier" };
                     changes.extend(update.changes.into_iter().map(|change| (frame, change)));
                 }

@@ -20,7 +20,7 @@ use crate::ao::footprint::{Footprint, LANES};
 use crate::scene::{SensorScene, SlopeNormalisation};
 use kernel::Tile;
 use modulation::Modulation;
-use optics::Optics;
+use optics::PyramidOptics;
 
 /// Signs of the faces along x and along y, in the order of the intensities.
 const FACES: [[f64; 2]; 4] = [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]];
@@ -28,7 +28,7 @@ const FACES: [[f64; 2]; 4] = [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]
 /// Pyramid with its detector.
 #[derive(Clone)]
 pub(super) struct Pyramid {
-    optics: Optics,
+    optics: PyramidOptics,
     pixels: Lenslets,
     normalisation: SlopeNormalisation,
     /// Sum and differences of the four intensities of each pixel in use: sum, along x, along y, relative to all light of a fully
@@ -41,7 +41,7 @@ impl Pyramid {
     pub(super) fn new(scene: &SensorScene, pixels: &Lenslets, footprint: &Footprint) -> Self {
         let modulation = Modulation::new(scene.modulation_lambda_over_d.unwrap_or(0.0), scene.modulation_points);
         Self {
-            optics: Optics::new(footprint, scene.wavelength_nm, modulation, tiles(pixels)),
+            optics: PyramidOptics::new(footprint, scene.wavelength_nm, modulation, tiles(pixels)),
             pixels: pixels.clone(),
             normalisation: scene.slope_normalisation.unwrap_or(SlopeNormalisation::Global),
             signals: vec![[0.0; 3]; pixels.subapertures.len()],

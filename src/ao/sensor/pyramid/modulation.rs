@@ -22,12 +22,12 @@ pub(super) struct Modulation {
     pub nodes: Vec<f64>,
     pub weights: Vec<f64>,
     /// From each point to the next.
-    pub steps: Vec<Step>,
+    pub steps: Vec<ModulationStep>,
 }
 
 /// Change from a point of the modulation to the next.
 #[derive(Clone)]
-pub(super) struct Step {
+pub(super) struct ModulationStep {
     /// Strips that the edges across u and across v pass over.
     pub strips: [Option<Strip>; 2],
     /// Position of the edge across v before the step, and of that across u after it: indices of [`Modulation::offsets`].
@@ -82,7 +82,7 @@ impl Modulation {
             let sign = if to > from { -1.0 } else { 1.0 };
             (from != to).then(|| Strip { nodes: strips[from.min(to)].clone(), sign })
         };
-        let step = |j: usize| Step {
+        let step = |j: usize| ModulationStep {
             strips: [strip(along_u(j), along_u(j + 1)), strip(along_v(j), along_v(j + 1))],
             v_before: along_v(j),
             u_after: along_u(j + 1),

@@ -17,7 +17,7 @@ use std::f64::consts::TAU;
 
 /// Pyramid over a grid of samples, with the memory of a frame.
 #[derive(Clone)]
-pub(super) struct Optics {
+pub(super) struct PyramidOptics {
     footprint: Footprint,
     turns_per_nm: f32,
     modulation: Modulation,
@@ -44,7 +44,7 @@ pub(super) struct Optics {
     sums: Vec<[Lane; 4]>,
 }
 
-impl Optics {
+impl PyramidOptics {
     /// Pyramid at `wavelength_nm` behind the pupil of `footprint`; light is computed in `tiles`.
     pub(super) fn new(footprint: &Footprint, wavelength_nm: f64, modulation: Modulation, tiles: Vec<Tile>) -> Self {
         let n = footprint.samples();
