@@ -35,9 +35,8 @@ use super::policy::Policy;
 use crate::control::{Control, Stage};
 use crate::io::Quantity as Card;
 use crate::modal::{FittedImage, ModalEstimate, ModelCache};
-use crate::scene::{Method, ModelChoice, Scene, Telemetry};
+use crate::scene::{Method, ModelChoice, Scene, Setting, Telemetry};
 use crate::{Error, Result};
-use finding::with;
 use ndarray::Axis;
 use std::borrow::Cow;
 
@@ -172,7 +171,12 @@ impl Work<'_> {
         let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
         let last_chi2 = corrected.as_ref().map_or(first_chi2, |(chi2, _)| *chi2);
         let compared = (first, corrected.map(|(_, image)| image));
-        Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
+        Ok(Check {
+            findings,
+            reduced_chi2: [first_chi2, last_chi2],
+            compared,
+            corrected: own.with_settings(&settings)?,
+        })
     }
 
     /// Reduced χ² and first image of the fit with the settings of the first fault, where it has some. A fault whose settings raise χ² is none that was
@@ -187,7 +191,7 @@ impl Work<'_> {
     ) -> Result<Option<(f64, FittedImage)>> {
         // Each time one fault less.
         while let Some(first) = findings.first_mut().filter(|first| !first.settings.is_empty()) {
-            let scene = with(given, &first.settings)?;
+            let scene = given.with_settings(&first.settings)?;
             let again = self.fit(&scene, &cache.for_scene(given, &scene))?;
             let chi2 = chi2_of(&again);
             if first.quantity == CheckedQuantity::Defocus || !is_raised(chi2, own_chi2) {
@@ -224,7 +228,7 @@ impl Work<'_> {
                 return Err(Error::Image(format!("{error}; {}", fault.explanation)));
             }
             Err(error) => {
-                let other = with(scene, &fault.settings)?;
+                let other = scene.with_settings(&fault.settings)?;
                 self.fit(&other, &cache.for_scene(scene, &other))
                     .map_err(|_| Error::Image(format!("{error}; {}", fault.explanation)))?
             }
@@ -297,8 +301,8 @@ fn is_raised(chi2: f64, before: f64) -> bool {
 }
 
 /// Why settings are not proposed.
-fn raised(settings: &[(String, String)], chi2: f64, before: f64) -> String {
-    let settings: Vec<String> = settings.iter().map(|(key, value)| format!("{key} = {value}")).collect();
+fn raised(settings: &[Setting], chi2: f64, before: f64) -> String {
+    let settings: Vec<String> = settings.iter().map(Setting::to_string).collect();
     format!("not proposed: with {} the reduced χ² rises from {before:.3} to {chi2:.3}", settings.join(" and "))
 }
 

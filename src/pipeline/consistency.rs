@@ -7,7 +7,7 @@ use super::images::{Images, Trust};
 use super::instrument;
 use crate::agreement::{Compared, Disagreement, GAIN, padded_counts};
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
-use crate::scene::Scene;
+use crate::scene::{Scene, Setting};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
 use std::borrow::Cow;
@@ -57,15 +57,15 @@ pub(super) struct Consistent<'a> {
     pub(super) is_changed: bool,
     /// Sentences on what was converted and which of two values holds.
     pub(super) remarks: Vec<String>,
-    /// Keys of which the file has another value, with that value and a sentence.
+    /// Keys of which the file has another value.
     pub(super) contradictions: Vec<Contradiction>,
 }
 
 /// A key of which the file has another value than the scene.
 #[derive(Debug, Clone)]
 pub(super) struct Contradiction {
-    pub(super) key: String,
-    pub(super) file_value: String,
+    /// The key, with the file's value.
+    pub(super) of_file: Setting,
     pub(super) sentence: String,
 }
 
@@ -79,9 +79,9 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
     let mut comparison =
         Comparison { images, scene: scene_now, is_changed: false, contradictions: Vec::new(), remarks };
     if let Some(of_file) = &images.scene {
-        for (key, file_value, value) in instrument::differences(of_file, &comparison.scene.clone()) {
-            let (shown_key, shown) = scene.own_text(key, &file_value);
-            comparison.decide(key, format!("table SCENE has {shown_key} = {shown}"), value, &file_value)?;
+        for [own, of_file] in instrument::differences(&comparison.scene, of_file) {
+            let shown = of_file.clone().in_form_of(scene);
+            comparison.decide(format!("table SCENE has {shown}"), own, of_file)?;
         }
     }
     comparison.compare_facts(scene)?;
@@ -154,37 +154,34 @@ impl Comparison<'_> {
     fn compare(&mut self, quantity: Quantity) -> Result<()> {
         let Some(compared) = Compared::new(&self.scene, quantity) else { return Ok(()) };
         let Some(Disagreement { card, stated }) = compared.disagreement(&self.images.facts) else { return Ok(()) };
-        let [before, of_file] = [compared.value, stated].map(|value| compared.of_key(value).to_string());
-        self.decide(compared.key, card, before, &of_file)
+        let [own, of_file] = [compared.value, stated].map(|value| Setting::new(compared.key, compared.of_key(value)));
+        self.decide(card, own, of_file)
     }
 
-    /// Decides between the file's value of `key` and the scene's.
-    fn decide(&mut self, key: &str, source: String, value: String, file_value: &str) -> Result<()> {
-        if self.is_decided(key) {
+    /// Decides between the file's value of a key and the scene's.
+    fn decide(&mut self, source: String, own: Setting, of_file: Setting) -> Result<()> {
+        if self.is_decided(of_file.key()) {
             return Ok(());
         }
-        let (shown_key, shown) = self.scene.own_text(key, &value);
-        let (_, shown_file) = self.scene.own_text(key, file_value);
-        let sentence = format!("{source} where the scene has {shown_key} = {shown}");
-        let (key_text, file_text) = (key.to_string(), file_value.to_string());
-        self.contradictions.push(Contradiction { key: key_text, file_value: file_text, sentence });
+        let [shown, shown_file] = [own, of_file.clone()].map(|setting| setting.in_form_of(&self.scene));
+        let sentence = format!("{source} where the scene has {shown}");
+        let with_file = || self.scene.with_settings(std::slice::from_ref(&of_file));
         match self.images.trust {
-            Trust::Scene => {
-                self.remarks.push(format!("The scene's {shown_key} = {shown} holds; {source} was not used."));
-            }
+            Trust::Scene => self.remarks.push(format!("The scene's {shown} holds; {source} was not used.")),
             Trust::File => {
-                self.scene = self.scene.with(&[(key, file_value)])?;
+                self.scene = with_file()?;
                 self.is_changed = true;
-                self.remarks
-                    .push(format!("{shown_key} = {shown_file} is the file's ({source}); the scene has {shown}."));
+                let scene_has = shown.text();
+                self.remarks.push(format!("{shown_file} is the file's ({source}); the scene has {scene_has}."));
             }
             // Some values fit only together with others of the file: the contradiction is reported in any case.
             Trust::Neither => {
-                if let Ok(scene) = self.scene.with(&[(key, file_value)]) {
+                if let Ok(scene) = with_file() {
                     self.scene = scene;
                 }
             }
         }
+        self.contradictions.push(Contradiction { of_file, sentence });
         Ok(())
     }
 

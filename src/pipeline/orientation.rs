@@ -19,7 +19,7 @@ use super::policy::Policy;
 use crate::control::Control;
 use crate::modal::ImageStatus;
 use crate::pupil::Pupil;
-use crate::scene::Scene;
+use crate::scene::{Scene, Setting};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use candidates::{ExpectedMap, compare, described};
@@ -46,7 +46,7 @@ pub struct Orientation {
     /// Orientations that the poke does not distinguish from the best, which is the simplest of them.
     pub equivalent: Vec<OrientationCandidate>,
     /// Keys of the scene to set, with their values; empty where the scene's are right.
-    pub settings: Vec<(String, String)>,
+    pub settings: Vec<Setting>,
     /// The segment or actuator that moved, if the scene has the orientation of the images; `None` for images that are turned by 90°.
     pub moved: Option<MovedPart>,
     /// What a user should know.
@@ -225,15 +225,15 @@ fn selected(
     if is_reversed_diversity && scene.image.diversity_file.is_none() {
         let waves = -scene.image.diversity_focus_waves_rms;
         let (key, value) = scene.own_form("image.diversity_focus_waves_rms", waves);
-        settings.push((key, value.to_string()));
+        settings.push(Setting::new(key, value));
     } else {
         let keys = [("image.flip_x", scene.image.flip_x), ("image.flip_y", scene.image.flip_y)];
         for ((key, now), flip) in keys.into_iter().zip(best.flip) {
-            settings.extend(flip.then(|| (key.to_string(), (!now).to_string())));
+            settings.extend(flip.then(|| Setting::new(key, !now)));
         }
         if best.rotation_deg != 0.0 {
             let rotation_deg = scene.pupil.rotation_deg + best.rotation_deg;
-            settings.push(("pupil.rotation_deg".into(), rotation_deg.to_string()));
+            settings.push(Setting::new("pupil.rotation_deg", rotation_deg));
         }
         if best.sign < 0.0 {
             let (diversity, _) =

@@ -40,14 +40,11 @@ impl TurnedImages {
         if own.iter().zip(&turns_deg).all(is_at_rest) {
             return Ok(None);
         }
-        let of_file = own.iter().zip(&turns_deg).filter_map(|((name, scene), turns_deg)| {
-            let turns_deg = turns_deg.as_ref().filter(|turns_deg| !is_own(scene, turns_deg))?;
-            let channel = name.map(|name| format!("channel.{name}.")).unwrap_or_default();
-            Some((format!("image.{channel}pupil_turns_deg"), format!("{turns_deg:?}")))
-        });
-        let of_file: Vec<(String, String)> = of_file.collect();
-        let of_file: Vec<(&str, &str)> = of_file.iter().map(|(key, turns)| (key.as_str(), turns.as_str())).collect();
-        let with_turns = if of_file.is_empty() { given.clone() } else { given.with(&of_file)? };
+        let with_turns = given.with_each_channel(|channel, sections| {
+            if let Some(turns_deg) = &turns_deg[channel] {
+                sections.image.pupil_turns_deg = Some(turns_deg.clone());
+            }
+        })?;
         let most = Scene::MAX_CHANNELS / own.len();
         let (mut channels, mut parts, mut order, mut remarks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut begin, count) = (0, images.iter().map(|images| images.len()).sum::<usize>());

@@ -26,13 +26,13 @@ impl Reduction {
 
     /// `scene` with the turns of the pupil in the images of each channel.
     fn with_turns(&self, scene: &Scene) -> Result<Scene> {
-        let settings = self.channels.iter().filter_map(|channel| {
-            let of = channel.name.as_ref().map(|name| format!("channel.{name}.")).unwrap_or_default();
-            Some((format!("image.{of}pupil_turns_deg"), format!("{:?}", channel.pupil_turns_deg.as_ref()?)))
-        });
-        let settings: Vec<(String, String)> = settings.collect();
-        let settings: Vec<(&str, &str)> = settings.iter().map(|(key, turns)| (key.as_str(), turns.as_str())).collect();
-        if settings.is_empty() { Ok(scene.clone()) } else { scene.with(&settings) }
+        let names: Vec<_> = scene.each_channel().into_iter().map(|(name, _)| name).collect();
+        scene.with_each_channel(|channel, sections| {
+            let reduced = self.channels.iter().find(|reduced| reduced.name.as_deref() == names[channel]);
+            if let Some(turns_deg) = reduced.and_then(|reduced| reduced.pupil_turns_deg.as_ref()) {
+                sections.image.pupil_turns_deg = Some(turns_deg.clone());
+            }
+        })
     }
 }
 

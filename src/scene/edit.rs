@@ -47,6 +47,14 @@ impl Scene {
         self.adopting(&self.system.with(change)?)
     }
 
+    /// As [`Scene::changed`], for each channel by its number from 0 in [`Scene::each_channel`].
+    ///
+    /// # Errors
+    /// As [`System::with`].
+    pub(crate) fn with_each_channel(&self, change: impl Fn(usize, &mut Sections)) -> Result<Self> {
+        self.adopting(&self.system.with_each_channel(change)?)
+    }
+
     /// This scene with the values of `system`, which is its own but for some of them; the text has those that differ.
     ///
     /// # Errors
@@ -103,7 +111,7 @@ impl Scene {
 
 /// `error` of a scene with these settings; where it is about another key, which the scene's own text sets, it names the
 /// settings, too: without them the scene was valid.
-fn after_settings(error: Error, settings: &[(&str, &str)]) -> Error {
+pub(super) fn after_settings(error: Error, settings: &[(&str, &str)]) -> Error {
     /// More would hide the reason.
     const MOST: usize = 3;
     match error {

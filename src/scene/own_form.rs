@@ -31,35 +31,16 @@ impl Scene {
         let (name, value) = image.named_focal()?;
         Some((name, value, image.diversity_stage_mm.is_some()))
     }
-
-    /// As [`Scene::own_form`] of a value as text, which stays as it is where the key does.
-    pub(crate) fn own_text(&self, key: &str, value: &str) -> (String, String) {
-        let converted = value.parse().ok().map(|number| self.own_form(key, number));
-        match converted.filter(|(own, _)| own != key) {
-            Some((own, number)) => (own, rounded(number)),
-            None => (key.to_string(), value.to_string()),
-        }
-    }
 }
 
-/// A number with seven significant digits.
-pub(crate) fn rounded(value: f64) -> String {
-    format!("{value:.6e}").parse().map_or_else(|_| value.to_string(), |rounded: f64| rounded.to_string())
+/// `value` to seven significant digits.
+pub(crate) fn rounded(value: f64) -> f64 {
+    format!("{value:.6e}").parse().unwrap_or(value)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_text_is_rounded_where_it_is_converted() {
-        let scene = Scene::preset("keck-artificial").unwrap().with(&[("image.pixel_mas", "10")]).unwrap();
-        let value = format!("{}", scene.image.samples_per_lambda_over_d / 1.04);
-        let pixel = ("image.pixel_mas".to_string(), "10.4".to_string());
-        assert_eq!(scene.own_text("image.samples_per_lambda_over_d", &value), pixel);
-        let same = ("pupil.rotation_deg".to_string(), "30.123456789".to_string());
-        assert_eq!(scene.own_text(&same.0, &same.1), same);
-    }
 
     #[test]
     fn a_value_takes_the_form_of_the_scene() {

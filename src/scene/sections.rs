@@ -7,6 +7,7 @@ use super::fit::{EstimateScene, ModesScene};
 use super::forms;
 use super::pupil::PupilScene;
 use super::section_keys::SectionKeys;
+use super::setting::SettingValue;
 use super::table::{Check, Reader, Section, Source, check_ranges};
 use super::telescope::{AberrationScene, ImageScene};
 use super::words::{Aperture, Method, NcpaBasis, PupilModel, ReconstructorKind, SegmentModes};
@@ -35,8 +36,26 @@ macro_rules! sections {
                     (key == forms::SAMPLING[0] && image.named_sampling().is_some())
                         || (key == forms::FOCUS[0] && image.named_focus().is_some())
                 };
-                all.retain(|(_, key, _)| !is_derived(key));
+                // What follows from another key is no key of the text.
+                all.iter_mut().filter(|(_, key, _)| is_derived(key)).for_each(|(.., value)| value.clear());
                 all
+            }
+
+            /// Value of the key `name` of a section, as a setting holds it.
+            pub(super) fn value(&self, section: &str, name: &str) -> Option<SettingValue> {
+                match section {
+                    $(stringify!($name) => self.$name.value_of(name),)+
+                    _ => None,
+                }
+            }
+
+            /// Sets the key `name` of a section, or leaves it out where there is no value; false where the key does not exist or accepts no such
+            /// value.
+            pub(super) fn set_value(&mut self, section: &str, name: &str, value: Option<&SettingValue>) -> bool {
+                match section {
+                    $(stringify!($name) => self.$name.set_value_of(name, value),)+
+                    _ => false,
+                }
             }
 
             fn check_sections(&self, source: Source) -> Result<()> {
@@ -84,6 +103,10 @@ trait Entry: Sized {
     /// Checks values that were changed after they were read.
     fn check_again(&self, source: Source) -> Result<()>;
     fn add_differences(&self, other: &Self, all: &mut Vec<(&'static str, &'static str, String)>);
+    /// As [`Section::value`].
+    fn value_of(&self, key: &str) -> Option<SettingValue>;
+    /// As [`Section::set_value`].
+    fn set_value_of(&mut self, key: &str, value: Option<&SettingValue>) -> bool;
 }
 
 impl<S: Section + Check> Entry for S {
@@ -107,6 +130,14 @@ impl<S: Section + Check> Entry for S {
     fn add_differences(&self, other: &Self, all: &mut Vec<(&'static str, &'static str, String)>) {
         all.extend(self.differences(other).into_iter().map(|(key, value)| (S::NAME, key, value)));
     }
+
+    fn value_of(&self, key: &str) -> Option<SettingValue> {
+        Section::value(self, key)
+    }
+
+    fn set_value_of(&mut self, key: &str, value: Option<&SettingValue>) -> bool {
+        Section::set_value(self, key, value)
+    }
 }
 
 impl<S: Section + Check> Entry for Option<S> {
@@ -126,6 +157,14 @@ impl<S: Section + Check> Entry for Option<S> {
         if let (Some(own), Some(other)) = (self, other) {
             own.add_differences(other, all);
         }
+    }
+
+    fn value_of(&self, key: &str) -> Option<SettingValue> {
+        Section::value(self.as_ref()?, key)
+    }
+
+    fn set_value_of(&mut self, key: &str, value: Option<&SettingValue>) -> bool {
+        self.as_mut().is_some_and(|section| Section::set_value(section, key, value))
     }
 }
 

@@ -63,25 +63,37 @@ impl System {
     /// # Errors
     /// [`Error::Scene`] for a value out of the range of its key, and for values that contradict each other.
     pub fn with(&self, change: impl Fn(&mut Sections)) -> Result<Self> {
-        self.changed(&change)
+        self.changed(&[], &|sections| {
+            change(sections);
+            Ok(())
+        })
     }
 
-    fn changed(&self, change: &dyn Fn(&mut Sections)) -> Result<Self> {
+    /// As [`System::with`]; messages name the keys of `settings`.
+    pub(super) fn changed(
+        &self,
+        settings: &[(&str, &str)],
+        change: &dyn Fn(&mut Sections) -> Result<()>,
+    ) -> Result<Self> {
         let mut content = Content::clone(&self.content);
-        change(&mut content.sections);
-        let source = Source { name: &content.name, text: "", purpose: content.purpose, settings: &[] };
+        change(&mut content.sections)?;
+        let source = Source { name: &content.name, text: "", purpose: content.purpose, settings };
         content.sections.check_values(source)?;
         for channel in &mut content.channels {
-            channel.system = channel.system.changed(change)?;
+            channel.system = channel.system.changed(settings, change)?;
         }
         Ok(Self { content: Arc::new(content) })
     }
 
-    /// This system with other values in its channels, whose numbers from 0 `change` is given.
+    /// This system with other values in its channels, whose numbers from 0 `change` is given; a system without a list of channels is its only
+    /// one.
     ///
     /// # Errors
     /// As [`System::with`].
     pub(crate) fn with_each_channel(&self, change: impl Fn(usize, &mut Sections)) -> Result<Self> {
+        if self.channels().is_empty() {
+            return self.with(|sections| change(0, sections));
+        }
         let mut content = Content::clone(&self.content);
         for (number, channel) in content.channels.iter_mut().enumerate() {
             channel.system = channel.system.with(|sections| change(number, sections))?;

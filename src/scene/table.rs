@@ -2,6 +2,7 @@
 //! misspelt keys and reference are generated from that declaration.
 
 use super::purpose::Purpose;
+use super::setting::SettingValue;
 use super::value::{FromToml, Range};
 use crate::{Error, Result};
 use toml_edit::{Item, TableLike};
@@ -58,6 +59,10 @@ pub(super) trait Section: Sized {
     fn differences(&self, other: &Self) -> Vec<(&'static str, String)>;
     /// The first key whose value is out of its range: its name, the value, and what is accepted.
     fn key_out_of_range(&self) -> Option<(&'static str, String, String)>;
+    /// Value of a key, as a setting holds it; `None` for a key without one, and for words and names of files.
+    fn value(&self, key: &str) -> Option<SettingValue>;
+    /// Sets a key, or leaves it out where there is no value; false where the key does not exist or accepts no such value.
+    fn set_value(&mut self, key: &str, value: Option<&SettingValue>) -> bool;
 }
 
 /// Checks of a section that concern several keys.
@@ -116,6 +121,22 @@ macro_rules! section {
                     return Some((name, self.$key.to_toml(), <$type>::accepted(&$range)));
                 })+
                 None
+            }
+
+            fn value(&self, key: &str) -> Option<$crate::scene::SettingValue> {
+                use $crate::scene::value::FromToml;
+                $(if key == $crate::scene::table::key_name(stringify!($key)) {
+                    return self.$key.to_setting();
+                })+
+                None
+            }
+
+            fn set_value(&mut self, key: &str, value: Option<&$crate::scene::SettingValue>) -> bool {
+                use $crate::scene::value::FromToml;
+                $(if key == $crate::scene::table::key_name(stringify!($key)) {
+                    return <$type>::from_setting(value).map(|value| self.$key = value).is_some();
+                })+
+                false
             }
         }
     };

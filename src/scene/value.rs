@@ -1,5 +1,6 @@
 //! Values of keys: read from TOML, checked against their range, written back.
 
+use super::setting::SettingValue;
 use std::fmt::{self, Display};
 use std::path::PathBuf;
 use toml_edit::Value;
@@ -98,6 +99,14 @@ pub(super) trait FromToml: Sized {
     fn is_within(&self, _range: &Range) -> bool {
         true
     }
+    /// The value, as a setting holds it; `None` where there is none, and for types of which there are no settings.
+    fn to_setting(&self) -> Option<SettingValue> {
+        None
+    }
+    /// The value of a setting, or of a key that is left out; `None` for another type.
+    fn from_setting(_value: Option<&SettingValue>) -> Option<Self> {
+        None
+    }
 }
 
 /// Number of a TOML integer or float: `4` is accepted for `4.0`.
@@ -117,6 +126,12 @@ impl FromToml for f64 {
     }
     fn is_within(&self, range: &Range) -> bool {
         range.holds(*self)
+    }
+    fn to_setting(&self) -> Option<SettingValue> {
+        Some(SettingValue::Number(*self))
+    }
+    fn from_setting(value: Option<&SettingValue>) -> Option<Self> {
+        value?.number()
     }
 }
 
@@ -149,6 +164,12 @@ impl FromToml for usize {
     fn is_within(&self, range: &Range) -> bool {
         range.holds(*self as f64)
     }
+    fn to_setting(&self) -> Option<SettingValue> {
+        Some(SettingValue::Number(*self as f64))
+    }
+    fn from_setting(value: Option<&SettingValue>) -> Option<Self> {
+        value?.number().filter(|number| number.fract() == 0.0 && *number >= 0.0).map(|number| number as Self)
+    }
 }
 
 impl FromToml for bool {
@@ -160,6 +181,15 @@ impl FromToml for bool {
     }
     fn to_toml(&self) -> String {
         self.to_string()
+    }
+    fn to_setting(&self) -> Option<SettingValue> {
+        Some(SettingValue::Flag(*self))
+    }
+    fn from_setting(value: Option<&SettingValue>) -> Option<Self> {
+        match value? {
+            SettingValue::Flag(flag) => Some(*flag),
+            _ => None,
+        }
     }
 }
 
@@ -215,6 +245,15 @@ impl FromToml for Vec<f64> {
     fn is_within(&self, range: &Range) -> bool {
         self.iter().all(|&x| range.holds(x))
     }
+    fn to_setting(&self) -> Option<SettingValue> {
+        Some(SettingValue::Numbers(self.clone()))
+    }
+    fn from_setting(value: Option<&SettingValue>) -> Option<Self> {
+        match value? {
+            SettingValue::Numbers(numbers) => Some(numbers.clone()),
+            _ => None,
+        }
+    }
 }
 
 impl<T: FromToml> FromToml for Option<T> {
@@ -232,6 +271,15 @@ impl<T: FromToml> FromToml for Option<T> {
     }
     fn is_within(&self, range: &Range) -> bool {
         self.as_ref().is_none_or(|value| value.is_within(range))
+    }
+    fn to_setting(&self) -> Option<SettingValue> {
+        self.as_ref().and_then(T::to_setting)
+    }
+    fn from_setting(value: Option<&SettingValue>) -> Option<Self> {
+        match value {
+            Some(_) => T::from_setting(value).map(Some),
+            None => Some(None),
+        }
     }
 }
 

@@ -208,20 +208,21 @@ fn a_poke_shows_the_orientation() {
         let PokeResult::Orientation(found) = found else { panic!("{found:?}") };
         found
     };
+    let settings = |found: &Orientation| found.settings.iter().map(ToString::to_string).collect::<Vec<_>>();
     let poke = Poke::Segment(1, 150.0);
     let found = check(&modal, Some(&before), &after, poke);
     assert!(found.moved.as_ref().is_some_and(|moved| moved.is_stated && moved.name == "segment 1"), "{found:?}");
     assert_eq!((found.best.flip, found.best.rotation_deg, found.best.sign), ([false; 2], 0.0, 1.0), "{found:?}");
     assert!(found.settings.is_empty() && (found.best.amplitude - 1.0).abs() < 0.1, "{found:?}");
     let found = check(&modal, Some(&flipped(&before)), &flipped(&after), poke);
-    assert_eq!(found.settings, [("image.flip_x".to_string(), "true".to_string())], "{found:?}");
+    assert_eq!(settings(&found), ["image.flip_x = true"], "{found:?}");
     let flips = modal.with_override("image.flip_x", "true").unwrap();
     assert!(check(&flips, Some(&flipped(&before)), &flipped(&after), poke).settings.is_empty());
     let opposite = check(&modal, Some(&before), &after, Poke::Segment(1, -150.0));
     assert!(opposite.best.sign < 0.0 && !opposite.warnings.is_empty(), "{opposite:?}");
     let reversed = modal.with_override("image.diversity_focus_waves_rms", "-1.0").unwrap();
     let found = check(&reversed, Some(&before), &after, poke);
-    assert_eq!(found.settings, [("image.diversity_focus_waves_rms".to_string(), "1".to_string())], "{found:?}");
+    assert_eq!(settings(&found), ["image.diversity_focus_waves_rms = 1"], "{found:?}");
     // The central segment is its own mirror image, and so is one on the y axis.
     for (segment, word) in [(0, "does not distinguish"), (2, "symmetry axis")] {
         let [before, after] = poked(&modal, segment, 150.0);

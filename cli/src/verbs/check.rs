@@ -2,7 +2,7 @@
 
 use cophase::Result;
 use cophase::pipeline::{Check, Finding, Images, Poke, check};
-use cophase::scene::Scene;
+use cophase::scene::{Scene, Setting};
 use cophase_view::files::{self, Settings};
 use cophase_view::interrupt::Interrupt;
 use cophase_view::outputs;
@@ -148,8 +148,7 @@ fn text(found: &Check) -> String {
             format!("\nLikeliest cause: {}. Reduced χ² {own:.3}.\n", cause.quantity.name())
         }
         Some(cause) => {
-            let set: Vec<String> =
-                cause.settings.iter().map(|(key, value)| format!("  set {key} = {value}\n")).collect();
+            let set: Vec<String> = cause.settings.iter().map(|setting| format!("  set {setting}\n")).collect();
             let name = cause.quantity.name();
             format!(
                 "\nLikeliest cause: {name}. Reduced χ² {own:.3}; it becomes {corrected:.3} if you\n{}Check again with it: other faults may be its \
@@ -208,8 +207,8 @@ struct PrintedFinding<'a> {
     explanation: &'a str,
 }
 
-fn keys(settings: &[(String, String)]) -> BTreeMap<&str, &str> {
-    settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect()
+fn keys(settings: &[Setting]) -> BTreeMap<&str, &str> {
+    settings.iter().map(|setting| (setting.key(), setting.text())).collect()
 }
 
 impl<'a> Printed<'a> {

@@ -6,7 +6,7 @@ use crate::control::Stage;
 use crate::modal::{self, Cube, ImageStatus, ModelCache, OpticsMinimum, OpticsStart};
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::residual_shape::{Shape, ShapeKind};
-use crate::scene::{Optic, Scene};
+use crate::scene::{Optic, Scene, Setting};
 use crate::{Error, Result};
 
 /// Part of the excess of χ² that a shape of the residual must explain where there is a misfit: see `misfit`.
@@ -216,7 +216,7 @@ fn of_square_pixels([own_chi2, chi2]: [f64; 2], left: &Left, scale: f64) -> Opti
         scene: Some(0.0),
         found: Some(1.0),
         gain,
-        settings: vec![(PIXEL_FILL.into(), "1".into())],
+        settings: vec![Setting::new(PIXEL_FILL, 1.0)],
         ..Finding::new(
             CheckedQuantity::PixelFill,
             Verdict::Fault,

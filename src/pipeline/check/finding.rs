@@ -1,7 +1,6 @@
 //! Finding: one quantity of scene and images that a check looked at.
 
-use crate::Result;
-use crate::scene::{Scene, rounded};
+use crate::scene::{Scene, Setting};
 
 /// Keys of the sampling and the defocus, as everything reads them.
 pub(super) const SAMPLING: &str = "image.samples_per_lambda_over_d";
@@ -132,7 +131,7 @@ pub struct Finding {
     /// Decrease of Schwarz's criterion, Δχ²/s − k ln N, with which faults are ranked: see [`check`](super::check()). 0 for what changes no χ².
     pub gain: f64,
     /// Keys of the scene to set, with their values.
-    pub settings: Vec<(String, String)>,
+    pub settings: Vec<Setting>,
     /// A sentence.
     pub explanation: String,
 }
@@ -169,34 +168,27 @@ impl Finding {
                 .flatten()
                 .for_each(|value| *value *= nm_of_sampling);
         }
-        let others: Vec<_> = self.settings.iter().filter(|(key, _)| key != SAMPLING && key != FOCUS).cloned().collect();
+        let is_other = |setting: &&Setting| ![SAMPLING, FOCUS].contains(&setting.key());
+        let others: Vec<Setting> = self.settings.iter().filter(is_other).cloned().collect();
         // A pixel of an angle is another sampling at another wavelength.
-        let Ok(scene) = with(scene, &others) else { return };
-        let mut settings = Vec::new();
-        for (key, value) in self.settings.drain(..) {
-            let form = value.parse().ok().map(|number: f64| (number, scene.own_form(&key, number)));
-            match form.filter(|(_, (own, _))| *own != key) {
-                None => settings.push((key, value)),
-                // The wavelength alone is wrong: the angle of the pixel stays.
-                Some((sampling, _))
-                    if self.quantity == CheckedQuantity::Wavelength
-                        && (sampling / scene.image.samples_per_lambda_over_d - 1.0).abs() < SAME_PIXEL => {}
-                Some((_, (own, number))) => settings.push((own, rounded(number))),
-            }
-        }
-        self.settings = settings;
+        let Ok(scene) = scene.with_settings(&others) else { return };
+        let quantity = self.quantity;
+        // Where the wavelength alone is wrong, the angle of the pixel stays.
+        let stays = |setting: &Setting, own: &Setting| {
+            let factor = setting.value().number().map(|sampling| sampling / scene.image.samples_per_lambda_over_d);
+            quantity == CheckedQuantity::Wavelength
+                && own.key() != setting.key()
+                && factor.is_some_and(|factor| (factor - 1.0).abs() < SAME_PIXEL)
+        };
+        let converted = self.settings.drain(..).filter_map(|setting| {
+            let own = setting.clone().in_form_of(&scene);
+            (!stays(&setting, &own)).then_some(own)
+        });
+        self.settings = converted.collect();
     }
 
     /// As [`Finding::new`] for what is not determined.
     pub(super) fn open(quantity: CheckedQuantity, explanation: impl Into<String>) -> Self {
         Self::new(quantity, Verdict::NotDetermined, explanation)
     }
-}
-
-/// The scene with these settings.
-///
-/// # Errors
-/// [`Error::Scene`](crate::Error::Scene) for settings that it does not accept.
-pub(super) fn with(scene: &Scene, settings: &[(String, String)]) -> Result<Scene> {
-    scene.with(&settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect::<Vec<_>>())
 }

@@ -6,7 +6,7 @@
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::Result;
-use crate::scene::Scene;
+use crate::scene::{Scene, Setting};
 use crate::telescope::Telescope;
 use ndarray::{ArrayView2, s};
 
@@ -45,7 +45,7 @@ pub(super) fn fault(scene: &Scene, frame_e: ArrayView2<f64>) -> Result<Option<Fi
     } else {
         return Ok(None);
     };
-    let settings = found.map(|waves| (FOCUS.into(), waves.to_string()));
+    let settings = found.map(|waves: f64| Setting::new(FOCUS, waves));
     Ok(Some(Finding {
         scene: Some(waves),
         found,

@@ -16,7 +16,7 @@ impl Work<'_> {
     /// A value of the file is a fault where the images agree with it, and where they do not decide: an estimate refuses it then. Of a scene
     /// that was corrected since the file was written the images know better.
     fn of_contradiction(&self, one: &Contradiction, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Finding {
-        let settings = vec![(one.key.clone(), one.file_value.clone())];
+        let settings = vec![one.of_file.clone()];
         let fault = |gain: f64, explanation: String| Finding {
             gain,
             settings: settings.clone(),
@@ -24,7 +24,7 @@ impl Work<'_> {
         };
         let own_chi2 = chi2_of(fitted);
         let undecided = || fault(0.0, format!("{}; the images do not decide between them", one.sentence));
-        let other = match scene.with(&[(&one.key, &one.file_value)]) {
+        let other = match scene.with_settings(&settings) {
             Ok(other) => other,
             // A value that fits only together with others of the file.
             Err(error) => return Finding::open(CheckedQuantity::Header, format!("{}; {error}", one.sentence)),

@@ -4,7 +4,7 @@ use super::finding::{CheckedQuantity, Finding, SAMPLING, Verdict, WAVELENGTH};
 use crate::linear_algebra::SpdInverse;
 use crate::modal::{FittedOptic, OpticsMinimum};
 use crate::pipeline::consistency::Contradiction;
-use crate::scene::{Optic, Parameter, Scene};
+use crate::scene::{Optic, Parameter, Scene, Setting};
 use ndarray::{Array1, Array2};
 
 /// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the cause of a misfit: of a companion, a
@@ -113,7 +113,8 @@ fn finding(
     if verdict == Verdict::NotDetermined {
         explanation += "; most of the residual has another cause, which changes this value";
     }
-    let settings = group.iter().filter(|_| is_fault).map(|one| (one.key(), format!("{:.6}", one.value))).collect();
+    let settings =
+        group.iter().filter(|_| is_fault).map(|one| Setting::of_six_decimals(one.key(), one.value)).collect();
     let (scene, found) = if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
     Finding {
         scene: Some(scene),
@@ -148,31 +149,31 @@ pub(super) fn with_header(
     let agrees =
         |ratio: f64| (found / of_scene - ratio).abs() < (5.0 * sigma / of_scene).max(0.2 * (ratio - 1.0).abs());
     let stated = |contradictions: &[Contradiction], key: &str, value: f64| {
-        let at = contradictions.iter().position(|one| one.key == key)?;
-        let ratio = contradictions[at].file_value.parse::<f64>().ok()? / value;
+        let at = contradictions.iter().position(|one| one.of_file.key() == key)?;
+        let ratio = contradictions[at].of_file.value().number()? / value;
         agrees(ratio).then_some(at)
     };
     if finding.verdict != Verdict::Fault {
-        if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
+        if has_wavelength && !contradictions.iter().any(|one| one.of_file.key() == WAVELENGTH) {
             finding.quantity = CheckedQuantity::PlateScale;
         }
         return;
     }
     if let Some(at) = stated(contradictions, WAVELENGTH, scene.image.wavelength_nm) {
         let one = contradictions.remove(at);
-        contradictions.retain(|other| other.key != SAMPLING);
+        contradictions.retain(|other| other.of_file.key() != SAMPLING);
         finding.quantity = CheckedQuantity::Wavelength;
         finding.explanation = format!(
             "{}; the images agree: {}. A defocus in waves changes with the wavelength",
             one.sentence, finding.explanation
         );
-        finding.settings.push((WAVELENGTH.into(), one.file_value));
+        finding.settings.push(one.of_file);
     } else if let Some(at) = stated(contradictions, SAMPLING, of_scene) {
         let one = contradictions.remove(at);
-        contradictions.retain(|other| other.key != SAMPLING);
+        contradictions.retain(|other| other.of_file.key() != SAMPLING);
         finding.quantity = CheckedQuantity::PlateScale;
         finding.explanation = format!("{}; the images agree: {}", one.sentence, finding.explanation);
-    } else if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
+    } else if has_wavelength && !contradictions.iter().any(|one| one.of_file.key() == WAVELENGTH) {
         finding.quantity = CheckedQuantity::PlateScale;
         finding.explanation += " (the file confirms the wavelength)";
     } else {

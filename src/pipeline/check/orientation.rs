@@ -1,6 +1,6 @@
 //! Orientation of the images and sign of the defocus: what the pupil's shape shows, and what a poke does.
 
-use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
+use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use super::turns::{self, Turn};
 use super::{Work, chi2_of, first_used, is_raised, pixels_of, raised};
 use crate::Result;
@@ -28,14 +28,14 @@ impl Work<'_> {
     ) -> Result<(Scene, Vec<Finding>)> {
         let (shown, mut findings) = self.turned(given, fitted)?;
         let mut scene = match &shown {
-            Some(turn) => with(given, &turn.settings)?,
+            Some(turn) => given.with_settings(&turn.settings)?,
             None => given.clone(),
         };
         let Some((before, after, poke)) = poke else { return Ok((scene, findings)) };
         let is_ambiguous = shown.is_some_and(|turn| turn.is_also_sign);
         // A modal estimate behind adaptive optics shows no poke.
         let estimated = match own.estimate.method {
-            Method::FullPhase => with(own, &turns::differences(given, &scene))?,
+            Method::FullPhase => own.with_settings(&turns::differences(given, &scene))?,
             _ => scene.clone(),
         };
         let found = turns::of_poke(&estimated, (before, after), poke, is_ambiguous, self.control)?;
@@ -56,7 +56,7 @@ impl Work<'_> {
             return Ok((scene, findings));
         };
         if !settings.is_empty() {
-            let other = with(&scene, settings)?;
+            let other = scene.with_settings(settings)?;
             let again = self.fit(&other, &cache.for_scene(given, &other))?;
             let [before, after] = [&*fitted, &again].map(chi2_of);
             if is_raised(after, before) {
@@ -69,7 +69,7 @@ impl Work<'_> {
         }
         let gain = findings.iter().map(|known| known.gain).fold(found.gain, f64::max);
         let settings = turns::differences(given, &scene);
-        let is_sign = settings.iter().any(|(key, _)| key == FOCUS);
+        let is_sign = settings.iter().any(|setting| setting.key() == FOCUS);
         let one = |quantity: CheckedQuantity, is_this: bool| {
             let of_fault = Finding { gain, settings: settings.clone(), ..Finding::new(quantity, Verdict::Fault, "") };
             let base =
@@ -89,7 +89,7 @@ impl Work<'_> {
         let mut is_shown: Vec<bool> = turns.iter().map(|turn| turn.is_plain).collect();
         for (number, turn) in turns.iter().enumerate().filter(|(_, turn)| is_tried(turn)) {
             // The turned pupil may be larger than its grid.
-            let Ok(other) = with(scene, &turn.settings) else { continue };
+            let Ok(other) = scene.with_settings(&turn.settings) else { continue };
             let chi2 = self.trial_chi2(&other, first_used(fitted))?.unwrap_or(f64::INFINITY);
             is_shown[number] |= is_explained && (chi2 - own_chi2) * pixels > CONTRADICTED;
             if best.as_ref().is_none_or(|(.., least)| chi2 < *least) {

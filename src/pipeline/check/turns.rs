@@ -5,12 +5,12 @@
 //! with the wavefront −W(−u), has the same image: with a pupil of point symmetry and an even diversity the sign of the diversity is as
 //! little determined, and its wrong sign asks for a wavefront of the same size, so that no prior helps.
 
-use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict, with};
+use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::Result;
 use crate::control::Control;
 use crate::pipeline::images::Images;
 use crate::pipeline::orientation::{Poke, PokeResult, check_orientation};
-use crate::scene::{Aperture, Scene};
+use crate::scene::{Aperture, Scene, Setting};
 use crate::telescope::Telescope;
 use ndarray::{Array2, Axis};
 
@@ -27,7 +27,7 @@ pub(super) const ROTATION: &str = "pupil.rotation_deg";
 /// A turn or flip of the images.
 pub(super) struct Turn {
     /// Keys and values.
-    pub(super) settings: Vec<(String, String)>,
+    pub(super) settings: Vec<Setting>,
     /// Whether the opposite sign of the defocus has the same images. The images of a pupil turned by 180° are those of the opposite sign, so this holds
     /// for a turn by 180°, and for a flip where the pupil equals its mirror image.
     pub(super) is_also_sign: bool,
@@ -89,19 +89,19 @@ pub(super) fn turns(scene: &Scene) -> Result<Shape> {
             let mut settings = Vec::new();
             let keys = FLIPS.into_iter().zip([scene.image.flip_x, scene.image.flip_y]);
             for ((key, now), flip) in keys.zip(flip) {
-                settings.extend(flip.then(|| (key.to_string(), (!now).to_string())));
+                settings.extend(flip.then(|| Setting::new(key, !now)));
             }
             if quarter {
-                settings.push((ROTATION.into(), (scene.pupil.rotation_deg + 90.0).to_string()));
+                settings.push(Setting::new(ROTATION, scene.pupil.rotation_deg + 90.0));
             }
             turns.push(Turn { settings, is_also_sign, is_plain, name });
         }
     }
     if has_geometry && scene.pupil.rotation_deg != 0.0 {
-        let settings = vec![(ROTATION.to_string(), (-scene.pupil.rotation_deg).to_string())];
+        let settings = vec![Setting::new(ROTATION, -scene.pupil.rotation_deg)];
         // A pupil that is larger than its grid is no candidate.
         if let Some(map) =
-            with(scene, &settings).and_then(|other| Telescope::new(&other)).ok().map(|of| of.pupil.amplitude)
+            scene.with_settings(&settings).and_then(|other| Telescope::new(&other)).ok().map(|of| of.pupil.amplitude)
             && seen.iter().all(|other| difference(other, &map) > NEARLY_EQUAL)
         {
             let is_also_sign = of_sign > NEARLY_EQUAL && difference(&map, &opposite) <= NEARLY_EQUAL;
@@ -129,7 +129,7 @@ impl Turn {
             let turned = Finding { settings: self.settings.clone(), ..fault(CheckedQuantity::Orientation, sentence) };
             return vec![turned, sign(shows_sign)];
         }
-        let set: Vec<String> = self.settings.iter().map(|(key, value)| format!("{key} = {value}")).collect();
+        let set: Vec<String> = self.settings.iter().map(Setting::to_string).collect();
         let (focus, opposite) = scene.own_form(FOCUS, -scene.image.diversity_focus_waves_rms);
         let sentence = format!(
             "{name} explains the images ({chi2s}), and so does the opposite sign of the defocus, with other maps: set either {}, or {focus} = \
@@ -154,18 +154,11 @@ pub(super) fn sign(shows_sign: bool) -> Finding {
 }
 
 /// The keys of orientation and sign in which `other` differs from `scene`, with the values of `other`.
-pub(super) fn differences(scene: &Scene, other: &Scene) -> Vec<(String, String)> {
-    let values = |scene: &Scene| {
-        let image = &scene.image;
-        [
-            (FLIPS[0], image.flip_x.to_string()),
-            (FLIPS[1], image.flip_y.to_string()),
-            (ROTATION, scene.pupil.rotation_deg.to_string()),
-            (FOCUS, image.diversity_focus_waves_rms.to_string()),
-        ]
-    };
-    let pairs = values(scene).into_iter().zip(values(other));
-    pairs.filter(|(own, its)| own != its).map(|(_, (key, value))| (key.to_string(), value)).collect()
+pub(super) fn differences(scene: &Scene, other: &Scene) -> Vec<Setting> {
+    let keys = [FLIPS[0], FLIPS[1], ROTATION, FOCUS];
+    keys.into_iter()
+        .filter_map(|key| other.setting(key).filter(|its| scene.setting(key).as_ref() != Some(its)))
+        .collect()
 }
 
 fn name(quarter: bool, flip: [bool; 2]) -> String {
@@ -185,7 +178,7 @@ fn name(quarter: bool, flip: [bool; 2]) -> String {
 /// What a poke shows.
 pub(super) struct PokeAnswer {
     /// Keys to set, with their values; `None` where the poke does not decide.
-    pub(super) settings: Option<Vec<(String, String)>>,
+    pub(super) settings: Option<Vec<Setting>>,
     /// Whether another segment or actuator moved than was stated.
     pub(super) is_other_part: bool,
     /// Decrease of Schwarz's criterion by them.
@@ -209,15 +202,15 @@ pub(super) fn of_poke(
         PokeResult::Undecided(explanation) => return without(false, explanation),
     };
     // Of any form of the defocus.
-    let is_sign = |settings: &[(String, String)]| settings.iter().any(|(key, _)| key.starts_with("image.diversity_"));
+    let is_sign = |settings: &[Setting]| settings.iter().any(|one| one.key().starts_with("image.diversity_"));
     let (best, runner_up) = (&found.best, &found.runner_up);
     if is_ambiguous && best.sign < 0.0 && !is_sign(&found.settings) {
         // A reversed poke in turned images: a turn by 180° more and the opposite sign of the defocus have the same images, and its own sign.
         let waves = scene.image.diversity_focus_waves_rms;
         let flips = FLIPS.into_iter().zip([scene.image.flip_x, scene.image.flip_y]).zip(best.flip);
-        found.settings.retain(|(key, _)| key == ROTATION);
-        found.settings.extend(flips.map(|((key, now), flip)| (key.to_string(), (now == flip).to_string())));
-        found.settings.push((FOCUS.to_string(), (-waves).to_string()));
+        found.settings.retain(|setting| setting.key() == ROTATION);
+        found.settings.extend(flips.map(|((key, now), flip)| Setting::new(key, now == flip)));
+        found.settings.push(Setting::new(FOCUS, -waves));
         found.warnings.clear();
     }
     let shown = match (is_ambiguous, is_sign(&found.settings)) {
