@@ -120,7 +120,7 @@ pub(crate) fn fit_together(
     let (search, own) = ParameterSearch::new(scene, &recipe, cache, cube, false, control)?;
     let mut elsewhere = own.clone();
     for &(optic, value) in start.values {
-        let is_it = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of) if of.optic == optic);
+        let is_it = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of, _) if *of == optic);
         if let Some(at) = search.parameters.iter().position(is_it) {
             elsewhere[at] = value;
         }

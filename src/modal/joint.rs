@@ -119,7 +119,7 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
     let likelihoods = channels.iter().enumerate();
     let mut likelihoods =
         likelihoods.map(|(number, &fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
-    let is_fitted = scene.estimate.fit_optics.contains(&Optic::Defocus);
+    let is_fitted = scene.estimate.fit_optics.contains(&Optic::DEFOCUS);
     let sigma = scene.estimate.diversity_error;
     let is_unknown = is_fitted || sigma > 0.0;
     if is_unknown {
@@ -282,7 +282,7 @@ fn fitted_defocus(channels: &[ChannelFit], found: &Normal, share: f64) -> Option
         None => (scene, f64::INFINITY),
     };
     Some(FittedOptic {
-        optic: Optic::Defocus,
+        optic: Optic::DEFOCUS,
         number: None,
         segment: None,
         scene,

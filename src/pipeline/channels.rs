@@ -251,7 +251,7 @@ impl<'a> Channels<'a> {
 
 /// The scene by which one channel is fitted: without the amplitude of its diversity, which only all channels together determine.
 fn own_scene(scene: &Scene) -> Result<Scene> {
-    scene.changed(|sections| sections.estimate.fit_optics.retain(|optic| *optic != Optic::Defocus))
+    scene.changed(|sections| sections.estimate.fit_optics.retain(|optic| *optic != Optic::DEFOCUS))
 }
 
 /// The estimate of all channels, from the joint one and those of each channel.

@@ -35,7 +35,7 @@ use super::policy::Policy;
 use crate::control::{Control, Stage};
 use crate::io::Quantity as Card;
 use crate::modal::{FittedImage, ModalEstimate, ModelCache};
-use crate::scene::{Method, ModelChoice, Scene, Setting, Telemetry};
+use crate::scene::{Method, ModelChoice, Optic, Scene, Setting, Telemetry};
 use crate::{Error, Result};
 use ndarray::Axis;
 use std::borrow::Cow;
@@ -161,7 +161,8 @@ impl Work<'_> {
             optics::with_header(found, &scene, self.has_wavelength, &mut self.contradictions);
         }
         findings.extend(causes);
-        let has_fault_of_focus = findings.iter().any(|finding| finding.quantity == CheckedQuantity::Defocus);
+        let has_fault_of_focus =
+            findings.iter().any(|finding| finding.quantity == CheckedQuantity::Optic(Optic::DEFOCUS));
         findings.extend(shapes::noise(&fitted));
         findings.extend(shapes::photometry(&scene, &fitted, has_fault_of_focus)?);
         findings.extend(self.header(&scene, &cache.for_scene(given, &scene), &fitted));
@@ -194,7 +195,7 @@ impl Work<'_> {
             let scene = given.with_settings(&first.settings)?;
             let again = self.fit(&scene, &cache.for_scene(given, &scene))?;
             let chi2 = chi2_of(&again);
-            if first.quantity == CheckedQuantity::Defocus || !is_raised(chi2, own_chi2) {
+            if first.quantity == CheckedQuantity::Optic(Optic::DEFOCUS) || !is_raised(chi2, own_chi2) {
                 return Ok(Some((chi2, again.fit.1.compared)));
             }
             first.explanation += &format!("; {}", raised(&first.settings, chi2, own_chi2));

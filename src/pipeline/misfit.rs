@@ -22,14 +22,14 @@ const EXPLAINED_BY_SHAPE: f64 = 0.5;
 /// Most derivatives that are held, 160 MB; shapes of the residual of a larger model are compared with what the modes absorb of them.
 const MAX_DERIVATIVES: usize = 20_000_000;
 
-/// Largest part of χ² beyond 1 that may be left where another plate scale is the cause. A plate scale that is 1 to 10 % wrong leaves
+/// Largest part of χ² beyond 1 that may be left where an optical parameter is the cause. A plate scale that is 1 to 10 % wrong leaves
 /// 0.2 % at most (Keck and seven hexagons, peak S/N of 50 to 1,000). Of saturation, companions of 1 and 5 %, a non-linear
 /// detector (10 %), a gradient, another obscuration, spiders, a filter of 5 %, square pixels and unmodelled aberrations it leaves
 /// 89 % or more, of gaps of 3 cm in place of 3 mm 52 %.
-const LEFT_BY_PLATE_SCALE: f64 = 0.1;
-/// Largest change of the plate scale that is tried, as a fraction: the fit reaches a few per cent beyond.
+const LEFT_BY_OPTIC: f64 = 0.1;
+/// Largest change of an optical parameter that is tried, as a fraction: the fit reaches a few per cent beyond.
 const LARGEST_CHANGE: f64 = 0.25;
-/// Largest side of a frame for which another plate scale is tried, pixels: it is fitted without reducing the image, some ten times.
+/// Largest side of a frame for which another value is tried, pixels: it is fitted without reducing the image, some ten times.
 const MAX_TRIED_PIXELS: usize = 512;
 
 /// An image that the model does not explain.
@@ -58,7 +58,7 @@ impl Case<'_> {
         // explain half of the residual of a wrong plate scale.
         let cause = match saturation(&found.compared, frame_e, bad) {
             Some(cause) => Some(cause),
-            None => match self.plate_scale(found)? {
+            None => match self.other_optic(found)? {
                 Some(other) => Some(other.sentence(self.task.scene)),
                 None => shape(&found.compared, native, self.derivatives(found)),
             },
@@ -83,11 +83,20 @@ impl Case<'_> {
         derivatives
     }
 
-    /// Another plate scale with which the model explains the image.
+    /// An optical parameter with another value of which the model explains the image.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
-    pub(super) fn plate_scale(&self, found: &ModalEstimate) -> Result<Option<PlateScale>> {
+    pub(super) fn other_optic(&self, found: &ModalEstimate) -> Result<Option<OtherOptic>> {
+        for (optic, same_effect) in Optic::all().filter_map(|optic| Some((optic, optic.as_cause()?))) {
+            if let Some(other) = self.with_other(optic, same_effect, found)? {
+                return Ok(Some(other));
+            }
+        }
+        Ok(None)
+    }
+
+    fn with_other(&self, optic: Optic, same_effect: &'static str, found: &ModalEstimate) -> Result<Option<OtherOptic>> {
         let only = self.image..self.image + 1;
         let images_e = self.task.images.images_e.slice(ndarray::s![only.clone(), .., ..]);
         let bad = self.task.images.bad.slice(ndarray::s![only, .., ..]);
@@ -99,7 +108,7 @@ impl Case<'_> {
             return Ok(None);
         }
         // A scene that fits no optics, as one with the paper's optimiser, is not tried.
-        let fitting = self.task.scene.system().with(|sections| sections.estimate.fit_optics = vec![Optic::PlateScale]);
+        let fitting = self.task.scene.system().with(|sections| sections.estimate.fit_optics = vec![optic]);
         let Ok(scene) = fitting else { return Ok(None) };
         let cube = Cube { images_e, bad, read_noise_e: self.task.images.read_noise_e };
         let (recipe, control) = (self.task.policy.recipe(&scene), self.task.control);
@@ -111,13 +120,15 @@ impl Case<'_> {
             // A trial that fails names no cause.
             Ok(None) | Err(_) => return Ok(None),
         };
-        let [optic] = fitter.fitted_optics() else { return Ok(None) };
+        let [one] = fitter.fitted_optics() else { return Ok(None) };
         let left = (fitted_chi2 - 1.0).max(0.0) / (own_chi2 - 1.0);
-        let explains = optic.is_identifiable() && left < LEFT_BY_PLATE_SCALE;
-        Ok(explains.then(|| PlateScale {
-            key: optic.key(),
-            fitted: optic.value,
-            of_scene: optic.scene,
+        let explains = one.is_identifiable() && left < LEFT_BY_OPTIC;
+        Ok(explains.then(|| OtherOptic {
+            optic,
+            same_effect,
+            key: one.key(),
+            fitted: one.value,
+            of_scene: one.scene,
             reduced_chi2: [own_chi2, fitted_chi2],
         }))
     }
@@ -148,24 +159,29 @@ impl Case<'_> {
     }
 }
 
-/// Another plate scale that explains an image, pixels per λ/D.
-pub(super) struct PlateScale {
+/// An optical parameter with another value, which explains an image.
+pub(super) struct OtherOptic {
+    pub(super) optic: Optic,
+    /// What else does.
+    same_effect: &'static str,
     key: String,
+    /// In the unit of the key.
     pub(super) fitted: f64,
     of_scene: f64,
     /// Reduced χ² of the image with the scene's and with the fitted one.
     reduced_chi2: [f64; 2],
 }
 
-impl PlateScale {
+impl OtherOptic {
     /// The end of a sentence, in the terms of `scene`.
     fn sentence(&self, scene: &Scene) -> String {
         let (key, fitted) = scene.own_form(&self.key, self.fitted);
         let (_, of_scene) = scene.own_form(&self.key, self.of_scene);
         let [own_chi2, fitted_chi2] = self.reduced_chi2;
+        let (name, word, same_effect) = (self.optic.name(), self.optic.word(), self.same_effect);
         format!(
-            "the plate scale: with {key} = {fitted:.4} in place of {} its reduced χ² is {fitted_chi2:.2} in place of {own_chi2:.2}; \
-             estimate.fit_optics = [\"plate-scale\"] fits it (another wavelength or size of the pupil has the same effect)",
+            "the {name}: with {key} = {fitted:.4} in place of {} its reduced χ² is {fitted_chi2:.2} in place of {own_chi2:.2}; \
+             estimate.fit_optics = [\"{word}\"] fits it ({same_effect})",
             rounded(of_scene)
         )
     }

@@ -44,7 +44,7 @@ pub(super) enum Extension {
 }
 
 /// Optical parameters that are tried. Others that may be wrong are the instrument's, and for the user to change.
-const FITTED: [Optic; 3] = [Optic::Reflectivities, Optic::Spiders, Optic::Obscuration];
+const FITTED: [Optic; 3] = [Optic::REFLECTIVITIES, Optic::SPIDERS, Optic::OBSCURATION];
 
 impl Extension {
     /// Adds this extension.
@@ -62,9 +62,9 @@ impl Extension {
                 sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last });
             }
             Self::Fitted(optic) => {
-                match (optic, extent_m) {
-                    (Optic::Spiders, _) => sections.pupil.spider_width_m = SPIDER_M,
-                    (Optic::Obscuration, Some(extent_m)) => {
+                match extent_m {
+                    _ if optic == Optic::SPIDERS => sections.pupil.spider_width_m = SPIDER_M,
+                    Some(extent_m) if optic == Optic::OBSCURATION => {
                         sections.pupil.central_obscuration_m = OBSCURATION * extent_m;
                     }
                     _ => {}
@@ -78,8 +78,8 @@ impl Extension {
         match self {
             Self::SegmentTilts => "tip and tilt of each segment".into(),
             Self::ZernikesTo(last) => format!("Zernikes to Noll {last}"),
-            Self::Fitted(Optic::Obscuration) => "a central obscuration".into(),
-            Self::Fitted(Optic::Spiders) => "a spider".into(),
+            Self::Fitted(optic) if optic == Optic::OBSCURATION => "a central obscuration".into(),
+            Self::Fitted(optic) if optic == Optic::SPIDERS => "a spider".into(),
             Self::Fitted(optic) => optic.word().into(),
         }
     }
@@ -92,8 +92,10 @@ impl Extension {
             Self::ZernikesTo(wanted) => {
                 matches!(scene.modes.exact_zernikes, Some(NollRange::Span { last, .. }) if last >= wanted)
             }
-            Self::Fitted(Optic::Spiders) => !has_geometry || scene.pupil.spider_width_m > 0.0,
-            Self::Fitted(Optic::Obscuration) => !has_geometry || scene.pupil.central_obscuration_m > 0.0,
+            Self::Fitted(optic) if optic == Optic::SPIDERS => !has_geometry || scene.pupil.spider_width_m > 0.0,
+            Self::Fitted(optic) if optic == Optic::OBSCURATION => {
+                !has_geometry || scene.pupil.central_obscuration_m > 0.0
+            }
             Self::Fitted(_) => scene.modes.segment != SegmentModes::Piston,
         }
     }

@@ -11,7 +11,7 @@ use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
 use crate::control::{Control, Stage};
-use crate::scene::{Method, Optic, Parameter, Scene};
+use crate::scene::{Method, Optic, Scene};
 use crate::{Error, Result, source};
 use std::path::Path;
 
@@ -181,8 +181,8 @@ impl Base {
         let (nm, waves) = channels[0];
         let first = self.scene.changed(|sections| {
             sections.image.wavelength_nm = nm;
-            for (optic, value) in [(Optic::PlateScale, sampling(nm)), (Optic::Defocus, waves)] {
-                Parameter::of(optic).for_each(|parameter| parameter.set(sections, value));
+            for (optic, value) in [(Optic::PLATE_SCALE, sampling(nm)), (Optic::DEFOCUS, waves)] {
+                optic.parameters().iter().for_each(|parameter| parameter.set(sections, value));
             }
         })?;
         if channels.len() == 1 {

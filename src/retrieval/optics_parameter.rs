@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::modal::has_diversity;
-use crate::scene::{PARAMETERS, Parameter, ParameterKind, SearchRange, System};
+use crate::scene::{Parameter, ParameterKind, SearchRange, System};
 
 /// Ratio to the least objective at which a search in one direction ends.
 const END_RATIO: f64 = 4.0;
@@ -25,7 +25,7 @@ impl SearchedParameter {
     /// Parameters that can be searched for in `scene`: none of the camera in focus, where a retrieval ends in one of many minima and
     /// objectives do not compare.
     pub(super) fn all(scene: &System) -> Vec<Self> {
-        let each = PARAMETERS.iter().filter_map(|parameter| {
+        let each = Parameter::all().filter_map(|parameter| {
             let search = parameter.search(scene)?;
             Some(Self { parameter, own: parameter.get(scene), search })
         });
@@ -79,12 +79,14 @@ impl SearchedParameter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Optic;
     use std::cell::Cell;
 
     #[test]
     fn the_search_ends_at_the_minimum_or_at_a_steep_rise() {
         let search = SearchRange { kind: ParameterKind::Telescope, range: 0.0..=9.0, first_step: 1.0, last_step: 0.01 };
-        let parameter = SearchedParameter { parameter: &PARAMETERS[0], own: 0.0, search: search.clone() };
+        let parameter =
+            SearchedParameter { parameter: &Optic::PLATE_SCALE.parameters()[0], own: 0.0, search: search.clone() };
         let tries = Cell::new(0);
         let bowl = |at: f64| move |value: f64| Ok(1.0 + (value - at).powi(2));
         // Within the last step.

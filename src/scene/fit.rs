@@ -1,12 +1,13 @@
 //! Sections `[modes]` and `[estimate]`: modes and settings of an estimate.
 
+use super::Optic;
 use super::lists::NollRange;
 use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    AoKnowledge, Combine, DeviceChoice, Method, ModelChoice, NcpaBasis, Optic, Optimizer, Precision, Sampling,
-    SegmentModes, Telemetry, Weighting,
+    AoKnowledge, Combine, DeviceChoice, Method, ModelChoice, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes,
+    Telemetry, Weighting,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -93,11 +94,7 @@ section! {
         /// Relative standard deviation of the diversity's amplitude, for the error bars: an error of it appears as
         /// NCPA.
         diversity_error: f64, between(0.0, 1.0), default(0.0);
-        /// Optical parameters that are fitted in addition to the modes, to up to six images together: "plate-scale"
-        /// (image.samples_per_lambda_over_d), "rotation" (pupil.rotation_deg), "defocus"
-        /// (image.diversity_focus_waves_rms), "bandwidth" (image.bandwidth_fraction), "pixel-fill"
-        /// (image.pixel_fill), "obscuration" (pupil.central_obscuration_m), "spiders" (pupil.spider_width_m),
-        /// "reflectivities" (of each segment), "illumination" (pupil.illumination_x, _y and _edge).
+        /// Optical parameters that are fitted in addition to the modes, to up to six images together.
         fit_optics: Vec<Optic>, ANY, default([]);
         /// Model: "auto" adds tip and tilt of each segment, Zernikes to Noll 91 or 210, reflectivities, a spider or a central
         /// obscuration where the scene does not explain the images and one of these does, and with "full-phase" tip and tilt

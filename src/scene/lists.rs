@@ -1,7 +1,8 @@
 //! Values that are lists with a syntax of their own.
 
+use super::Optic;
 use super::value::{FromToml, LONGEST_LIST, Range, items};
-use super::words::{Optic, SlopeOrder};
+use super::words::{SlopeOrder, one_of};
 use toml_edit::Value;
 
 /// Range of Zernike polynomials by Noll index (1 is piston).
@@ -131,6 +132,19 @@ impl FromToml for Vec<SlopeOrder> {
 /// A list of words in the syntax of TOML.
 fn words_to_toml<T: FromToml>(words: &[T]) -> String {
     format!("[{}]", words.iter().map(FromToml::to_toml).collect::<Vec<_>>().join(", "))
+}
+
+impl FromToml for Optic {
+    fn accepted(_: &Range) -> String {
+        one_of(&Self::all().map(Self::word).collect::<Vec<_>>())
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        let word = value.as_str()?;
+        Self::all().find(|optic| optic.word() == word)
+    }
+    fn to_toml(&self) -> String {
+        format!("{:?}", self.word())
+    }
 }
 
 impl FromToml for Vec<Optic> {

@@ -46,7 +46,8 @@ pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::{NollRange, SegmentLabels};
 pub(crate) use own_form::rounded;
-pub(crate) use parameter::{PARAMETERS, Parameter, ParameterKind, SearchRange};
+pub use parameter::Optic;
+pub(crate) use parameter::{Changes, Parameter, ParameterKind, SearchRange};
 pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;
 pub use sections::Sections;
@@ -57,9 +58,8 @@ pub use telescope::{AberrationScene, ImageScene};
 pub(crate) use units::MAS_PER_RADIAN;
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
-    NcpaBasis, Optic, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling,
-    SegmentConvention, SegmentModes, SensorDetector, SensorKind, SensorMask, SlopeNormalisation, SlopeOrder, Telemetry,
-    Weighting,
+    NcpaBasis, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentConvention,
+    SegmentModes, SensorDetector, SensorKind, SensorMask, SlopeNormalisation, SlopeOrder, Telemetry, Weighting,
 };
 
 use crate::{Error, Result};

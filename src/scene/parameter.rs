@@ -1,7 +1,9 @@
-//! Parameters: the numbers of the optics on which images depend, a row each. Fits, searches and checks of the optics read this table.
+//! Optical parameters: the numbers of the optics on which images depend. Fits, searches and checks of the optics, the words of
+//! `estimate.fit_optics` and their reference read this table: a parameter that is fitted is a row of it.
 
+use super::Setting;
 use super::sections::Sections;
-use super::words::Optic;
+use std::fmt;
 use std::ops::RangeInclusive;
 
 /// Step of a filter's width.
@@ -15,19 +17,47 @@ const SPIDER_STEP_M: f64 = 1e-3;
 /// Step of a term of the illumination: as that of a segment's amplitude.
 const ILLUMINATION_STEP: f64 = 0.02;
 
+/// What `estimate.fit_optics` fits in addition to the modes: a number of the scene, some that belong together, or the light that each segment
+/// reflects.
+#[derive(Clone, Copy)]
+pub struct Optic(&'static Row);
+
+/// A word of `estimate.fit_optics`.
+struct Row {
+    word: &'static str,
+    about: &'static str,
+    /// Its place among those that a check of images examines; `None` for one that it does not.
+    check: Option<u8>,
+    /// What else has the same effect, of one whose wrong value is a likely cause where the scene does not explain an image.
+    cause: Option<&'static str>,
+    /// None for the reflectivities, which are 1 in every scene.
+    parameters: &'static [Parameter],
+}
+
 /// A number of the optics on which images depend.
 #[derive(Debug)]
 pub(crate) struct Parameter {
     /// Its key in a scene, in whose unit its values are.
     pub(crate) key: &'static str,
-    /// The word of `estimate.fit_optics` that it belongs to.
-    pub(crate) optic: Optic,
-    get: fn(&Sections) -> f64,
-    set: fn(&mut Sections, f64),
+    /// What of a model changes with it.
+    pub(crate) changes: Changes,
     absence: fn(&Sections) -> Option<&'static str>,
     step: fn(&Sections) -> f64,
     search: fn(&Sections) -> Option<SearchRange>,
     least_fault: fn(f64) -> f64,
+}
+
+/// What of a model, beside the imaging, changes with a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Changes {
+    /// Nothing.
+    Imaging,
+    /// The frames to which images are reduced.
+    Samples,
+    /// How many wavelengths are enough.
+    Wavelengths,
+    /// The modes, which are those of the segments' places.
+    Modes,
 }
 
 /// What a parameter describes.
@@ -50,18 +80,136 @@ pub(crate) struct SearchRange {
     pub(crate) last_step: f64,
 }
 
+impl Optic {
+    /// Pixels per λ/D.
+    pub const PLATE_SCALE: Self = Self::named("plate-scale");
+    /// Rotation of the pupil.
+    pub const ROTATION: Self = Self::named("rotation");
+    /// Amplitude of the defocus.
+    pub const DEFOCUS: Self = Self::named("defocus");
+    /// Side of a pixel's sensitive square.
+    pub const PIXEL_FILL: Self = Self::named("pixel-fill");
+    /// Diameter of the central obscuration.
+    pub const OBSCURATION: Self = Self::named("obscuration");
+    /// Width of the spider's vanes.
+    pub const SPIDERS: Self = Self::named("spiders");
+    /// Light that each segment reflects.
+    pub const REFLECTIVITIES: Self = Self::named("reflectivities");
+    /// Slopes of the light over the pupil, and its rise from the centre to the edge.
+    pub const ILLUMINATION: Self = Self::named("illumination");
+
+    /// The row with this word; a word that no row has is an error of compilation.
+    const fn named(word: &str) -> Self {
+        let mut row = 0;
+        while !is_equal(ROWS[row].word, word) {
+            row += 1;
+        }
+        Self(&ROWS[row])
+    }
+
+    /// All, in the order of the table.
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        ROWS.iter().map(Self)
+    }
+
+    /// Those that a check of images examines, in its order.
+    pub(crate) fn examined() -> Vec<Self> {
+        let mut examined: Vec<Self> = Self::all().filter(|optic| optic.0.check.is_some()).collect();
+        examined.sort_by_key(|optic| optic.0.check);
+        examined
+    }
+
+    /// Its word in a scene.
+    pub fn word(self) -> &'static str {
+        self.0.word
+    }
+
+    /// Its name in tables and sentences.
+    pub fn name(self) -> String {
+        self.0.word.replace('-', " ")
+    }
+
+    /// What it describes.
+    pub(crate) fn about(self) -> &'static str {
+        self.0.about
+    }
+
+    /// What else has the same effect, of one whose wrong value is a likely cause where the scene does not explain an image.
+    pub(crate) fn as_cause(self) -> Option<&'static str> {
+        self.0.cause
+    }
+
+    /// The numbers of the scene that it stands for; none for the reflectivities, which are 1 in every scene.
+    pub(crate) fn parameters(self) -> &'static [Parameter] {
+        self.0.parameters
+    }
+
+    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene, and for the
+    /// illumination, which has several keys.
+    pub fn key(self) -> Option<&'static str> {
+        match self.parameters() {
+            [one] => Some(one.key),
+            _ => None,
+        }
+    }
+
+    /// Its word with the keys that it fits, for the reference.
+    pub(super) fn listed(self) -> String {
+        let keys: Vec<&str> = self.parameters().iter().map(|parameter| parameter.key).collect();
+        let of = match keys.split_last() {
+            None => "of each segment".into(),
+            Some((last, [])) => (*last).to_owned(),
+            Some((last, others)) => format!("{} and {last}", others.join(", ")),
+        };
+        format!("{:?} ({of})", self.word())
+    }
+}
+
+/// Equality of two words, also during compilation.
+const fn is_equal(one: &str, other: &str) -> bool {
+    let (one, other) = (one.as_bytes(), other.as_bytes());
+    let mut at = 0;
+    while at < one.len() && at < other.len() && one[at] == other[at] {
+        at += 1;
+    }
+    at == one.len() && at == other.len()
+}
+
+impl PartialEq for Optic {
+    fn eq(&self, other: &Self) -> bool {
+        self.word() == other.word()
+    }
+}
+
+impl Eq for Optic {}
+
+impl std::hash::Hash for Optic {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.word().hash(state);
+    }
+}
+
+impl fmt::Debug for Optic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
 impl Parameter {
-    /// The parameters that `optic` stands for; none for the reflectivities, which are 1 in every scene.
-    pub(crate) fn of(optic: Optic) -> impl Iterator<Item = &'static Self> {
-        PARAMETERS.iter().filter(move |parameter| parameter.optic == optic)
+    /// All, in the order in which a search tries them.
+    pub(crate) fn all() -> impl Iterator<Item = &'static Self> {
+        ROWS.iter().flat_map(|row| row.parameters)
     }
 
+    /// Its value; not a number only of a key that does not exist.
     pub(crate) fn get(&self, sections: &Sections) -> f64 {
-        (self.get)(sections)
+        sections.setting(self.key).and_then(|setting| setting.value().number()).unwrap_or(f64::NAN)
     }
 
+    /// Sets the value; other forms of the quantity give way.
     pub(crate) fn set(&self, sections: &mut Sections, value: f64) {
-        (self.set)(sections, value);
+        let done = sections.apply(&Setting::new(self.key, value));
+        debug_assert!(done.is_ok(), "{done:?}");
     }
 
     /// What in `sections` has no such parameter, or an image that does not depend on it to first order.
@@ -86,166 +234,185 @@ impl Parameter {
     }
 }
 
-impl Optic {
-    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene, and for the
-    /// illumination, which has several keys.
-    pub fn key(&self) -> Option<&'static str> {
-        let mut parameters = Parameter::of(*self);
-        parameters.next().filter(|_| parameters.next().is_none()).map(|parameter| parameter.key)
-    }
-}
-
 impl PartialEq for Parameter {
     fn eq(&self, other: &Self) -> bool {
         self.key == other.key
     }
 }
 
-/// The table, in the order in which a search tries them.
-pub(crate) static PARAMETERS: [Parameter; 10] = [
-    Parameter {
-        key: "image.samples_per_lambda_over_d",
-        optic: Optic::PlateScale,
-        get: |of| of.image.samples_per_lambda_over_d,
-        set: |of, value| {
-            of.image.samples_per_lambda_over_d = value;
-            // Other forms give way.
-            (of.image.pixel_mas, of.image.pixel_arcsec, of.image.pixel_pitch_um) = (None, None, None);
-        },
-        absence: |_| None,
-        step: |of| 1e-3 * of.image.samples_per_lambda_over_d,
-        search: |of| {
-            let sampling = of.image.samples_per_lambda_over_d;
-            Some(SearchRange {
-                kind: ParameterKind::Telescope,
-                range: 0.97 * sampling..=1.03 * sampling,
-                first_step: 0.01 * sampling,
-                last_step: 0.0003 * sampling,
-            })
-        },
-        least_fault: |of_scene| 1e-3 * of_scene.abs(),
+/// What most parameters have: every scene has them, they change the imaging alone, and no search or check looks for them.
+const USUAL: Parameter = Parameter {
+    key: "",
+    changes: Changes::Imaging,
+    absence: |_| None,
+    step: |_| f64::NAN,
+    search: |_| None,
+    least_fault: |_| f64::INFINITY,
+};
+
+/// The table.
+static ROWS: [Row; 9] = [
+    Row {
+        word: "plate-scale",
+        about: "pixels per λ/D",
+        check: Some(1),
+        cause: Some("another wavelength or size of the pupil has the same effect"),
+        parameters: &[Parameter {
+            key: "image.samples_per_lambda_over_d",
+            changes: Changes::Samples,
+            step: |of| 1e-3 * of.image.samples_per_lambda_over_d,
+            search: |of| {
+                let sampling = of.image.samples_per_lambda_over_d;
+                Some(SearchRange {
+                    kind: ParameterKind::Telescope,
+                    range: 0.97 * sampling..=1.03 * sampling,
+                    first_step: 0.01 * sampling,
+                    last_step: 0.0003 * sampling,
+                })
+            },
+            least_fault: |of_scene| 1e-3 * of_scene.abs(),
+            ..USUAL
+        }],
     },
-    Parameter {
-        key: "image.bandwidth_fraction",
-        optic: Optic::Bandwidth,
-        get: |of| of.image.bandwidth_fraction,
-        set: |of, value| of.image.bandwidth_fraction = value,
-        absence: |of| match &of.image {
-            image if image.filter_file.is_some() => Some("a filter from a file"),
-            // The image depends on the square of the width: its derivative at 0 is 0.
-            image if image.bandwidth_fraction == 0.0 => Some("light of one wavelength"),
-            _ => None,
-        },
-        step: |of| WIDTH_STEP.min(0.5 * of.image.bandwidth_fraction),
-        // The width of a filter from a file is known.
-        search: |of| {
-            let is_unknown = of.estimate.wavelengths.is_none() && of.image.filter_file.is_none();
-            is_unknown.then_some(SearchRange {
-                kind: ParameterKind::Camera,
-                // From narrow-band filters, 1 to 2 %, to those of the atmosphere's windows, 15 to 20 %.
-                range: 0.0..=0.25,
-                first_step: 0.01,
-                last_step: 0.001,
-            })
-        },
-        least_fault: |of_scene| 0.05 * of_scene.abs(),
+    Row {
+        word: "rotation",
+        about: "rotation of the pupil",
+        check: Some(2),
+        cause: None,
+        parameters: &[Parameter {
+            key: "pupil.rotation_deg",
+            changes: Changes::Modes,
+            absence: |of| of.pupil.extent_m().is_none().then_some(FILE),
+            step: |_| 0.05,
+            least_fault: |_| 0.1,
+            ..USUAL
+        }],
     },
-    Parameter {
-        key: "image.pixel_fill",
-        optic: Optic::PixelFill,
-        get: |of| of.image.pixel_fill,
-        set: |of, value| of.image.pixel_fill = value,
-        // The image depends on the square of the side.
-        absence: |of| (of.image.pixel_fill == 0.0).then_some("a detector whose pixels are points"),
-        step: |of| FILL_STEP.min(0.5 * of.image.pixel_fill),
-        search: |of| {
-            of.image.has_samples_of_pixels().then_some(SearchRange {
-                kind: ParameterKind::Camera,
-                range: 0.0..=1.2,
-                first_step: 0.5,
-                last_step: 0.05,
-            })
-        },
-        least_fault: |_| 0.05,
-    },
-    Parameter {
-        key: "pupil.central_obscuration_m",
-        optic: Optic::Obscuration,
-        get: |of| of.pupil.central_obscuration_m,
-        set: |of, value| of.pupil.central_obscuration_m = value,
-        absence: |of| match &of.pupil {
-            pupil if pupil.extent_m().is_none() => Some(FILE),
-            pupil if pupil.central_obscuration_m == 0.0 => Some("a pupil without an obscuration"),
-            _ => None,
-        },
-        step: |of| OBSCURATION_STEP * of.pupil.extent_m().unwrap_or(1.0),
-        search: |of| shadow(of, of.pupil.central_obscuration_m, 0.5, 1e-2, 2.5e-4),
-        least_fault: |_| 0.05,
-    },
-    Parameter {
-        key: "pupil.spider_width_m",
-        optic: Optic::Spiders,
-        get: |of| of.pupil.spider_width_m,
-        set: |of, value| of.pupil.spider_width_m = value,
-        absence: |of| match &of.pupil {
-            pupil if pupil.extent_m().is_none() => Some(FILE),
-            pupil if pupil.spider_width_m == 0.0 => Some("a pupil without a spider"),
-            _ => None,
-        },
-        step: |of| SPIDER_STEP_M.min(0.5 * of.pupil.spider_width_m),
-        search: |of| shadow(of, of.pupil.spider_width_m, 0.01, 1e-3, 5e-5),
-        least_fault: |_| 0.005,
-    },
-    Parameter {
-        key: "pupil.rotation_deg",
-        optic: Optic::Rotation,
-        get: |of| of.pupil.rotation_deg,
-        set: |of, value| of.pupil.rotation_deg = value,
-        absence: |of| of.pupil.extent_m().is_none().then_some(FILE),
-        step: |_| 0.05,
-        search: |_| None,
-        least_fault: |_| 0.1,
-    },
-    Parameter {
-        key: "image.diversity_focus_waves_rms",
-        optic: Optic::Defocus,
-        get: |of| of.image.diversity_focus_waves_rms,
-        set: |of, value| {
-            let image = &mut of.image;
-            image.diversity_focus_waves_rms = value;
-            // Other forms give way.
-            (image.diversity_focus_waves_pv, image.diversity_focus_nm_rms, image.diversity_stage_mm) =
-                (None, None, None);
-        },
-        absence: |of| of.image.diversity_file.is_some().then_some("a diversity from a file"),
-        step: |_| 5e-3,
-        search: |_| None,
+    Row {
+        word: "defocus",
+        about: "amplitude of the defocus",
         // It is among the modes.
-        least_fault: |_| f64::INFINITY,
+        check: None,
+        cause: None,
+        parameters: &[Parameter {
+            key: "image.diversity_focus_waves_rms",
+            absence: |of| of.image.diversity_file.is_some().then_some("a diversity from a file"),
+            step: |_| 5e-3,
+            ..USUAL
+        }],
     },
-    illumination("pupil.illumination_x", |of| of.pupil.illumination_x, |of, value| of.pupil.illumination_x = value),
-    illumination("pupil.illumination_y", |of| of.pupil.illumination_y, |of, value| of.pupil.illumination_y = value),
-    illumination(
-        "pupil.illumination_edge",
-        |of| of.pupil.illumination_edge,
-        |of, value| of.pupil.illumination_edge = value,
-    ),
+    Row {
+        word: "bandwidth",
+        about: "width of the filter",
+        check: Some(6),
+        cause: None,
+        parameters: &[Parameter {
+            key: "image.bandwidth_fraction",
+            changes: Changes::Wavelengths,
+            absence: |of| match &of.image {
+                image if image.filter_file.is_some() => Some("a filter from a file"),
+                // The image depends on the square of the width: its derivative at 0 is 0.
+                image if image.bandwidth_fraction == 0.0 => Some("light of one wavelength"),
+                _ => None,
+            },
+            step: |of| WIDTH_STEP.min(0.5 * of.image.bandwidth_fraction),
+            // The width of a filter from a file is known.
+            search: |of| {
+                let is_unknown = of.estimate.wavelengths.is_none() && of.image.filter_file.is_none();
+                is_unknown.then_some(SearchRange {
+                    kind: ParameterKind::Camera,
+                    // From narrow-band filters, 1 to 2 %, to those of the atmosphere's windows, 15 to 20 %.
+                    range: 0.0..=0.25,
+                    first_step: 0.01,
+                    last_step: 0.001,
+                })
+            },
+            least_fault: |of_scene| 0.05 * of_scene.abs(),
+        }],
+    },
+    Row {
+        word: "pixel-fill",
+        about: "side of a pixel's sensitive square",
+        check: Some(7),
+        cause: None,
+        parameters: &[Parameter {
+            key: "image.pixel_fill",
+            // The image depends on the square of the side.
+            absence: |of| (of.image.pixel_fill == 0.0).then_some("a detector whose pixels are points"),
+            step: |of| FILL_STEP.min(0.5 * of.image.pixel_fill),
+            search: |of| {
+                of.image.has_samples_of_pixels().then_some(SearchRange {
+                    kind: ParameterKind::Camera,
+                    range: 0.0..=1.2,
+                    first_step: 0.5,
+                    last_step: 0.05,
+                })
+            },
+            least_fault: |_| 0.05,
+            ..USUAL
+        }],
+    },
+    Row {
+        word: "obscuration",
+        about: "diameter of the central obscuration",
+        check: Some(4),
+        cause: None,
+        parameters: &[Parameter {
+            key: "pupil.central_obscuration_m",
+            absence: |of| match &of.pupil {
+                pupil if pupil.extent_m().is_none() => Some(FILE),
+                pupil if pupil.central_obscuration_m == 0.0 => Some("a pupil without an obscuration"),
+                _ => None,
+            },
+            step: |of| OBSCURATION_STEP * of.pupil.extent_m().unwrap_or(1.0),
+            search: |of| shadow(of, of.pupil.central_obscuration_m, 0.5, 1e-2, 2.5e-4),
+            least_fault: |_| 0.05,
+            ..USUAL
+        }],
+    },
+    Row {
+        word: "spiders",
+        about: "width of the spider's vanes",
+        check: Some(5),
+        cause: None,
+        parameters: &[Parameter {
+            key: "pupil.spider_width_m",
+            absence: |of| match &of.pupil {
+                pupil if pupil.extent_m().is_none() => Some(FILE),
+                pupil if pupil.spider_width_m == 0.0 => Some("a pupil without a spider"),
+                _ => None,
+            },
+            step: |of| SPIDER_STEP_M.min(0.5 * of.pupil.spider_width_m),
+            search: |of| shadow(of, of.pupil.spider_width_m, 0.01, 1e-3, 5e-5),
+            least_fault: |_| 0.005,
+            ..USUAL
+        }],
+    },
+    Row {
+        word: "reflectivities",
+        about: "light that each segment reflects",
+        check: None,
+        cause: None,
+        parameters: &[],
+    },
+    Row {
+        word: "illumination",
+        about: "light over the pupil",
+        check: Some(3),
+        cause: None,
+        parameters: &[
+            illumination("pupil.illumination_x"),
+            illumination("pupil.illumination_y"),
+            illumination("pupil.illumination_edge"),
+        ],
+    },
 ];
 
 /// What has no shadows and no rotation of its own: its map includes them.
 const FILE: &str = "a pupil from a file";
 
-const fn illumination(key: &'static str, get: fn(&Sections) -> f64, set: fn(&mut Sections, f64)) -> Parameter {
-    Parameter {
-        key,
-        optic: Optic::Illumination,
-        get,
-        set,
-        absence: |_| None,
-        step: |_| ILLUMINATION_STEP,
-        search: |_| None,
-        least_fault: |_| 0.02,
-    }
+const fn illumination(key: &'static str) -> Parameter {
+    Parameter { key, step: |_| ILLUMINATION_STEP, least_fault: |_| 0.02, ..USUAL }
 }
 
 /// Search for a shadow of the pupil, which is `own` in the scene; steps are fractions of the pupil's width, for half a percent of its area and

@@ -1,5 +1,6 @@
 //! Reference of all keys, generated from the parser's table.
 
+use super::Optic;
 use super::section_keys::SectionKeys;
 use std::fmt::Write;
 
@@ -46,6 +47,9 @@ const CHANNELS: &str = "
   wavelength_nm and not its samples_per_lambda_over_d.
 ";
 
+/// Key whose words are optical parameters.
+const FIT_OPTICS: &str = "fit_optics";
+
 /// Reference of these sections and their keys, as text: unit, meaning, accepted values, default.
 pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
     let mut text = String::from(HEADER);
@@ -54,7 +58,8 @@ pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
         let _ = write!(text, "\n[{}]{}\n", section.name, section.about);
         for key in section.keys {
             let unit = unit_of(key.name).map(|unit| format!(" ({unit})")).unwrap_or_default();
-            let _ = writeln!(text, "  {}{unit}:{}", key.name, key.about);
+            let more = if key.name == FIT_OPTICS { optics() } else { String::new() };
+            let _ = writeln!(text, "  {}{unit}:{}{more}", key.name, key.about);
             let readers = readers(section.about, key.about);
             let _ = writeln!(text, "      accepted: {}; default: {}; read by: {readers}", key.accepted, key.default);
         }
@@ -63,6 +68,11 @@ pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
         }
     }
     text
+}
+
+/// The words of [`FIT_OPTICS`] with the keys that each fits, to follow the key's text.
+fn optics() -> String {
+    format!(" {}.", Optic::all().map(Optic::listed).collect::<Vec<_>>().join(", "))
 }
 
 /// Who reads a key: what its text says, else what its section's says.

@@ -168,7 +168,7 @@ impl Deref for System {
 
 #[cfg(test)]
 mod tests {
-    use crate::scene::{Crop, PARAMETERS, Scene, Sections};
+    use crate::scene::{Crop, Parameter, Scene, Sections};
     use std::path::Path;
 
     fn keck(settings: &[(&str, &str)]) -> Scene {
@@ -205,7 +205,7 @@ mod tests {
         let words: [&[(&str, &str)]; 2] =
             [&[], &[("image.pixel_mas", "9.9"), ("image.diversity_focus_waves_pv", "5.0")]];
         for scene in words.map(|words| keck(&[&base, words].concat())) {
-            for parameter in &PARAMETERS {
+            for parameter in Parameter::all() {
                 let value = 1.01 * parameter.get(&scene) + 1e-3;
                 let system = scene.system().with(|sections| parameter.set(sections, value)).unwrap();
                 assert_eq!(parameter.get(&system), value, "{}", parameter.key);

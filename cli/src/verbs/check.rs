@@ -181,14 +181,14 @@ fn picture(name: &str, found: &Check) -> MapsPicture {
         let caption = format!("{} corrected, χ² {corrected_chi2:.2}", cause.quantity.name());
         maps.push(map(caption, &image.residual_sigma, "σ", MapScale::Diverging));
     }
-    let cause = found.cause().map_or("no fault was found", |cause| cause.quantity.name());
+    let cause = found.cause().map_or("no fault was found".into(), |cause| cause.quantity.name());
     MapsPicture { title: format!("Check of {name}: {cause}"), columns: 2, maps }
 }
 
 /// What `check --json` prints; scripts rely on these keys.
 #[derive(Serialize)]
 struct Printed<'a> {
-    cause: Option<&'static str>,
+    cause: Option<String>,
     settings: BTreeMap<&'a str, &'a str>,
     reduced_chi2: f64,
     reduced_chi2_corrected: f64,
@@ -197,7 +197,7 @@ struct Printed<'a> {
 
 #[derive(Serialize)]
 struct PrintedFinding<'a> {
-    quantity: &'static str,
+    quantity: String,
     verdict: &'static str,
     scene: Option<f64>,
     found: Option<f64>,

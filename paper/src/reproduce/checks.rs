@@ -3,7 +3,7 @@
 use super::hard_cases::{Spoil, flipped, made};
 use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
 use cophase::pipeline::{Check, CheckedQuantity, Control, Images, Poke, check};
-use cophase::scene::Scene;
+use cophase::scene::{Optic, Scene};
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
@@ -50,15 +50,23 @@ pub const CHECK_ROWS: [CheckRow; 9] = [
     CheckRow {
         name: "plate scale 0.5 to 3 %",
         planted: Planted::PlateScale,
-        right: &[CheckedQuantity::PlateScaleOrWavelength, CheckedQuantity::PlateScale],
+        right: &[CheckedQuantity::PlateScaleOrWavelength, CheckedQuantity::Optic(Optic::PLATE_SCALE)],
     },
     CheckRow {
         name: "wavelength 0.5 to 3 %",
         planted: Planted::Wavelength,
         right: &[CheckedQuantity::PlateScaleOrWavelength, CheckedQuantity::Wavelength],
     },
-    CheckRow { name: "rotation 0.5 to 3 deg", planted: Planted::Rotation, right: &[CheckedQuantity::Rotation] },
-    CheckRow { name: "illumination 10 %", planted: Planted::Illumination, right: &[CheckedQuantity::Illumination] },
+    CheckRow {
+        name: "rotation 0.5 to 3 deg",
+        planted: Planted::Rotation,
+        right: &[CheckedQuantity::Optic(Optic::ROTATION)],
+    },
+    CheckRow {
+        name: "illumination 10 %",
+        planted: Planted::Illumination,
+        right: &[CheckedQuantity::Optic(Optic::ILLUMINATION)],
+    },
     CheckRow { name: "saturation", planted: Planted::Saturation, right: &[CheckedQuantity::Saturation] },
     CheckRow { name: "companion 2 to 10 %", planted: Planted::Companion, right: &[CheckedQuantity::Companion] },
     CheckRow { name: "orientation, poke", planted: Planted::Orientation, right: &[CheckedQuantity::Orientation] },

@@ -13,7 +13,7 @@ const AMPLITUDE_STEP: f64 = 0.01;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::modal) enum FittedParameter {
     /// A number of the scene.
-    Number(&'static Parameter),
+    Number(Optic, &'static Parameter),
     /// Amplitude that a segment reflects, relative to that of the last one: a factor of all is the star's flux.
     Amplitude(usize),
 }
@@ -42,18 +42,18 @@ fn starts_of(scene: &System, recipe: &Recipe, optic: Optic) -> Result<Vec<Start>
             optic.word()
         )))
     };
-    if optic == Optic::Reflectivities {
+    if optic == Optic::REFLECTIVITIES {
         return amplitudes(scene, recipe, &missing);
     }
-    if let Some(what) = Parameter::of(optic).find_map(|parameter| parameter.absence(scene)) {
+    if let Some(what) = optic.parameters().iter().find_map(|parameter| parameter.absence(scene)) {
         return missing(what);
     }
     let start = |parameter: &'static Parameter| Start {
-        parameter: FittedParameter::Number(parameter),
+        parameter: FittedParameter::Number(optic, parameter),
         value: parameter.get(scene),
         step: parameter.step(scene),
     };
-    Ok(Parameter::of(optic).map(start).collect())
+    Ok(optic.parameters().iter().map(start).collect())
 }
 
 fn amplitudes(scene: &System, recipe: &Recipe, missing: &dyn Fn(&str) -> Result<Vec<Start>>) -> Result<Vec<Start>> {
@@ -75,7 +75,7 @@ fn amplitudes(scene: &System, recipe: &Recipe, missing: &dyn Fn(&str) -> Result<
 pub(super) fn with_numbers(scene: &System, parameters: &[FittedParameter], values: &[f64]) -> Result<System> {
     scene.with(|sections| {
         for (parameter, value) in parameters.iter().zip(values) {
-            if let FittedParameter::Number(number) = parameter {
+            if let FittedParameter::Number(_, number) = parameter {
                 number.set(sections, *value);
             }
         }

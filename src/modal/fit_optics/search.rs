@@ -14,7 +14,7 @@ use super::normal::{NormalEquations, ParameterIteration};
 use super::parameter::{self, FittedParameter, starts, telescope, with_numbers};
 use crate::control::Control;
 use crate::imaging::{Chain, CpuChain, Precision};
-use crate::scene::{Crop, Optic, System};
+use crate::scene::{Changes, Crop, Optic, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array3, ArrayView1, Axis};
@@ -63,12 +63,12 @@ impl ParameterSearch {
         native: bool,
         control: &Control,
     ) -> Result<(Self, Vec<f64>)> {
-        let optics = &scene.estimate.fit_optics;
+        let numbers = || scene.estimate.fit_optics.iter().flat_map(|optic| optic.parameters());
         let starts = starts(scene, recipe)?;
         let parameters = starts.iter().map(|start| start.parameter).collect();
         let (own, steps): (Vec<f64>, Vec<f64>) = starts.iter().map(|start| (start.value, start.step)).unzip();
         let mut fixed = scene.with(|sections| sections.estimate.fit_optics.clear())?;
-        if optics.contains(&Optic::Bandwidth) && scene.estimate.wavelengths.is_none() {
+        if numbers().any(|number| number.changes == Changes::Wavelengths) && scene.estimate.wavelengths.is_none() {
             // The same number for all widths, so that it does not change between iterations.
             let wavelengths = band::enough_beyond(&fixed)?;
             fixed = fixed.with(|sections| sections.estimate.wavelengths = Some(wavelengths))?;
@@ -82,7 +82,7 @@ impl ParameterSearch {
             steps,
             recipe: recipe.clone(),
             // Another plate scale would need another reduction.
-            native: native || optics.contains(&Optic::PlateScale),
+            native: native || numbers().any(|number| number.changes == Changes::Samples),
             scene_basis: cache.basis.clone(),
             modes: OnceLock::new(),
             images_e: cube.images_e.select(Axis(0), &at),
@@ -182,10 +182,10 @@ impl ParameterSearch {
     ) -> Vec<FittedOptic> {
         let mut fitted = Vec::new();
         for (i, parameter) in self.parameters.iter().enumerate() {
-            if let FittedParameter::Number(of) = parameter {
+            if let FittedParameter::Number(optic, of) = *parameter {
                 let (sigma, identifiable_share) = (last.sigma[i], last.identifiable_share[i]);
                 let (scene, value) = (own[i], values[i]);
-                let (optic, number) = (of.optic, Some(of.key));
+                let number = Some(of.key);
                 fitted.push(FittedOptic { optic, number, segment: None, scene, value, sigma, identifiable_share });
             }
         }
@@ -198,7 +198,7 @@ impl ParameterSearch {
         let sigmas = parameter::amplitude_sigmas(telescope, &self.parameters, values, &last.covariance);
         for (segment, (amplitude, sigma)) in telescope.amplitudes().iter().zip(sigmas).enumerate() {
             fitted.push(FittedOptic {
-                optic: Optic::Reflectivities,
+                optic: Optic::REFLECTIVITIES,
                 number: None,
                 segment: Some(segment),
                 scene: 1.0,
@@ -212,7 +212,7 @@ impl ParameterSearch {
 
     fn describe(&self, values: &[f64]) -> String {
         let each = self.parameters.iter().zip(values).map(|(parameter, value)| match parameter {
-            FittedParameter::Number(number) => format!("{} = {value}", number.key),
+            FittedParameter::Number(_, number) => format!("{} = {value}", number.key),
             FittedParameter::Amplitude(segment) => format!("amplitude {segment} = {value:.3}"),
         });
         each.collect::<Vec<_>>().join(", ")
@@ -223,15 +223,13 @@ impl ParameterSearch {
         if same_basis(&self.scene, scene) { self.scene_basis.clone() } else { Arc::default() }
     }
 
-    /// Modes of `scene`: another rotation of the pupil needs others.
+    /// Modes of `scene`: other places of the segments need others.
     fn modes_of(&self, scene: &System) -> Result<ModeSet> {
         let (recipe, scene_basis) = (&self.recipe, self.basis_of(scene));
         let make = || ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, &scene_basis);
-        if self
-            .parameters
-            .iter()
-            .any(|parameter| matches!(parameter, FittedParameter::Number(number) if number.optic == Optic::Rotation))
-        {
+        let is_of_modes =
+            |of: &FittedParameter| matches!(of, FittedParameter::Number(_, number) if number.changes == Changes::Modes);
+        if self.parameters.iter().any(is_of_modes) {
             return make();
         }
         if let Some(modes) = self.modes.get() {

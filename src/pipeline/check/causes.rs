@@ -85,7 +85,7 @@ impl Work<'_> {
             findings = optics::findings((scene, parameters), minimum, scale, !left.is_misfit || is_explained(minimum));
         }
         findings.extend(others.iter().map(|optic| {
-            let grid = if *optic == Optic::Rotation { ", or the turned pupil is larger than pupil.grid_m" } else { "" };
+            let grid = if *optic == Optic::ROTATION { ", or the turned pupil is larger than pupil.grid_m" } else { "" };
             let why = "its fit together with the others does not converge: the scene is far from the images, something else is wrong";
             Finding::open(optics::quantity(*optic), format!("{why}{grid}"))
         }));
@@ -107,16 +107,16 @@ impl Work<'_> {
             Ok(FittedTogether { minimum, parameters, others })
         };
         // Beyond some per cent the fit of all parameters does not reach a plate scale that one alone finds.
-        let plate_scale =
-            if left.is_misfit { self.with_case(fitted, cache, |case, found| case.plate_scale(found))? } else { None };
-        let mut elsewhere: Vec<_> = plate_scale.map(|other| (Optic::PlateScale, other.fitted)).into_iter().collect();
+        let other =
+            if left.is_misfit { self.with_case(fitted, cache, |case, found| case.other_optic(found))? } else { None };
+        let mut elsewhere: Vec<_> = other.map(|other| (other.optic, other.fitted)).into_iter().collect();
         let first = self.minimum((scene, fitted), cache, &all, &elsewhere)?;
         let is_enough = |minimum: &OpticsMinimum| !left.is_misfit || left.is_by_shape || is_explained(minimum);
-        if !all.contains(&Optic::Rotation) || first.as_ref().is_some_and(is_enough) {
+        if !all.contains(&Optic::ROTATION) || first.as_ref().is_some_and(is_enough) {
             return done(first, &all);
         }
         // A turned pupil may be larger than its grid.
-        let unturned: Vec<Optic> = all.iter().copied().filter(|optic| *optic != Optic::Rotation).collect();
+        let unturned: Vec<Optic> = all.iter().copied().filter(|optic| *optic != Optic::ROTATION).collect();
         let without = if first.is_none() { self.minimum((scene, fitted), cache, &unturned, &elsewhere)? } else { None };
         if without.as_ref().is_some_and(is_enough) {
             return done(without, &unturned);
@@ -127,7 +127,7 @@ impl Work<'_> {
         };
         elsewhere.extend(alone.fitter.fitted_optics().iter().map(|one| (one.optic, one.value)));
         let again = self.minimum((scene, fitted), cache, &all, &elsewhere)?;
-        let only_rotation = [Optic::Rotation];
+        let only_rotation = [Optic::ROTATION];
         let found = [(first, &all[..]), (again, &all), (without, &unturned), (Some(alone), &only_rotation)];
         let chi2 = |minimum: &Option<OpticsMinimum>| minimum.as_ref().map_or(f64::INFINITY, |one| one.reduced_chi2[1]);
         let best = found.into_iter().min_by(|one, other| chi2(&one.0).total_cmp(&chi2(&other.0)));
@@ -137,7 +137,7 @@ impl Work<'_> {
     /// A rotation of the pupil that explains the images alone, from that of the scene on or, where that leads to none, from the best of others;
     /// `fitted` is the fit with the scene's.
     fn rotation(&self, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Result<Option<OpticsMinimum>> {
-        let only_rotation = [Optic::Rotation];
+        let only_rotation = [Optic::ROTATION];
         let near = self.minimum((scene, fitted), cache, &only_rotation, &[])?;
         if near.as_ref().is_some_and(is_explained) {
             return Ok(near);
@@ -152,7 +152,7 @@ impl Work<'_> {
             }
         }
         let Some(rotation_deg) = best.1 else { return Ok(None) };
-        let far = self.minimum((scene, fitted), cache, &only_rotation, &[(Optic::Rotation, rotation_deg)])?;
+        let far = self.minimum((scene, fitted), cache, &only_rotation, &[(Optic::ROTATION, rotation_deg)])?;
         Ok(far.filter(is_explained))
     }
 
@@ -218,7 +218,7 @@ fn of_square_pixels([own_chi2, chi2]: [f64; 2], left: &Left, scale: f64) -> Opti
         gain,
         settings: vec![Setting::new(PIXEL_FILL, 1.0)],
         ..Finding::new(
-            CheckedQuantity::PixelFill,
+            CheckedQuantity::Optic(Optic::PIXEL_FILL),
             Verdict::Fault,
             format!(
                 "pixels that are squares without gaps explain the images: reduced χ² {chi2:.2} in place of {own_chi2:.2}; the scene's are \

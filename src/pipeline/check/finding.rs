@@ -1,6 +1,6 @@
 //! Finding: one quantity of scene and images that a check looked at.
 
-use crate::scene::{Scene, Setting};
+use crate::scene::{Optic, Scene, Setting};
 
 /// Keys of the sampling and the defocus, as everything reads them.
 pub(super) const SAMPLING: &str = "image.samples_per_lambda_over_d";
@@ -14,32 +14,18 @@ const SAME_PIXEL: f64 = 2e-3;
 /// What is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum CheckedQuantity {
-    /// Pixels per λ/D where a card of the file confirms the wavelength.
-    PlateScale,
+    /// An optical parameter. Of the plate scale, where a card of the file confirms the wavelength.
+    Optic(Optic),
     /// Pixels per λ/D: another angle of a pixel, another wavelength or another size of the pupil have the same effect.
     PlateScaleOrWavelength,
     /// Wavelength, where a card of the file has another one and the images agree with it.
     Wavelength,
-    /// Rotation of the pupil.
-    Rotation,
     /// Flips, and turns by 90°.
     Orientation,
     /// Sign of the defocus.
     DefocusSign,
     /// One of the two: both have the same images.
     OrientationOrDefocusSign,
-    /// Amplitude of the defocus.
-    Defocus,
-    /// Slopes of the light over the pupil.
-    Illumination,
-    /// Width of the filter.
-    Bandwidth,
-    /// Side of a pixel's sensitive square.
-    PixelFill,
-    /// Diameter of the central obscuration.
-    Obscuration,
-    /// Width of the spider's vanes.
-    Spiders,
     /// Pixels at the largest value.
     Saturation,
     /// A second star.
@@ -64,21 +50,14 @@ pub enum CheckedQuantity {
 
 impl CheckedQuantity {
     /// Its name in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::PlateScale => "plate scale",
+    pub fn name(self) -> String {
+        let name = match self {
+            Self::Optic(optic) => return optic.name(),
             Self::PlateScaleOrWavelength => "plate scale or wavelength",
             Self::Wavelength => "wavelength",
-            Self::Rotation => "rotation",
             Self::Orientation => "orientation",
             Self::DefocusSign => "sign of the defocus",
             Self::OrientationOrDefocusSign => "orientation or sign of the defocus",
-            Self::Defocus => "defocus",
-            Self::Illumination => "illumination",
-            Self::Bandwidth => "bandwidth",
-            Self::PixelFill => "pixel fill",
-            Self::Obscuration => "obscuration",
-            Self::Spiders => "spiders",
             Self::Saturation => "saturation",
             Self::Companion => "companion",
             Self::NonLinearity => "non-linearity",
@@ -89,7 +68,8 @@ impl CheckedQuantity {
             Self::Header => "header",
             Self::Poke => "poke",
             Self::Unexplained => "unexplained residual",
-        }
+        };
+        name.into()
     }
 }
 
@@ -148,8 +128,8 @@ impl Finding {
     /// Settings that `scene` does not accept without others stay as they are.
     pub(super) fn take_form_of(&mut self, scene: &Scene) {
         let key = match self.quantity {
-            CheckedQuantity::PlateScale | CheckedQuantity::PlateScaleOrWavelength => SAMPLING,
-            CheckedQuantity::Defocus => FOCUS,
+            CheckedQuantity::Optic(optic) => optic.key().unwrap_or_default(),
+            CheckedQuantity::PlateScaleOrWavelength => SAMPLING,
             _ => "",
         };
         let own = |value: f64| scene.own_form(key, value).1;

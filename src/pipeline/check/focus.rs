@@ -6,7 +6,7 @@
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::Result;
-use crate::scene::{Scene, Setting};
+use crate::scene::{Optic, Scene, Setting};
 use crate::telescope::Telescope;
 use ndarray::{ArrayView2, s};
 
@@ -50,7 +50,7 @@ pub(super) fn fault(scene: &Scene, frame_e: ArrayView2<f64>) -> Result<Option<Fi
         scene: Some(waves),
         found,
         settings: settings.into_iter().collect(),
-        ..Finding::new(CheckedQuantity::Defocus, Verdict::Fault, sentence)
+        ..Finding::new(CheckedQuantity::Optic(Optic::DEFOCUS), Verdict::Fault, sentence)
     }))
 }
 

@@ -4,46 +4,27 @@ use super::finding::{CheckedQuantity, Finding, SAMPLING, Verdict, WAVELENGTH};
 use crate::linear_algebra::SpdInverse;
 use crate::modal::{FittedOptic, OpticsMinimum};
 use crate::pipeline::consistency::Contradiction;
-use crate::scene::{Optic, Parameter, Scene, Setting};
+use crate::scene::{Optic, Scene, Setting};
 use ndarray::{Array1, Array2};
 
 /// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the cause of a misfit: of a companion, a
 /// saturated or a non-linear detector they leave more.
 pub(super) const MOST_LEFT: f64 = 0.5;
 
-/// Those that are checked, in this order. The amplitude of the defocus is among the modes.
-const CHECKED: [Optic; 7] = [
-    Optic::PlateScale,
-    Optic::Rotation,
-    Optic::Illumination,
-    Optic::Obscuration,
-    Optic::Spiders,
-    Optic::Bandwidth,
-    Optic::PixelFill,
-];
-
 /// The optical parameters that `scene` has, as a value of `estimate.fit_optics`.
 pub(super) fn parameters(scene: &Scene) -> Vec<Optic> {
-    let is_there = |optic: &Optic| Parameter::of(*optic).all(|parameter| parameter.absence(scene).is_none());
-    CHECKED.into_iter().filter(is_there).collect()
+    let is_there = |optic: &Optic| optic.parameters().iter().all(|parameter| parameter.absence(scene).is_none());
+    Optic::examined().into_iter().filter(is_there).collect()
 }
 
 /// Smallest change of a parameter that is a fault, in the unit of its key.
 fn least_fault(optic: Optic, of_scene: f64) -> f64 {
-    Parameter::of(optic).map(|parameter| parameter.least_fault(of_scene)).fold(f64::INFINITY, f64::min)
+    optic.parameters().iter().map(|parameter| parameter.least_fault(of_scene)).fold(f64::INFINITY, f64::min)
 }
 
 pub(super) fn quantity(optic: Optic) -> CheckedQuantity {
-    match optic {
-        Optic::PlateScale => CheckedQuantity::PlateScaleOrWavelength,
-        Optic::Rotation => CheckedQuantity::Rotation,
-        Optic::Illumination | Optic::Reflectivities => CheckedQuantity::Illumination,
-        Optic::Obscuration => CheckedQuantity::Obscuration,
-        Optic::Spiders => CheckedQuantity::Spiders,
-        Optic::Bandwidth => CheckedQuantity::Bandwidth,
-        Optic::PixelFill => CheckedQuantity::PixelFill,
-        Optic::Defocus => CheckedQuantity::Defocus,
-    }
+    // Until a card of the file decides.
+    if optic == Optic::PLATE_SCALE { CheckedQuantity::PlateScaleOrWavelength } else { CheckedQuantity::Optic(optic) }
 }
 
 /// One finding for each of `parameters` of `scene`. `scale` divides χ² (see [`check`](super::super::check())); `is_explained` says that the parameters
@@ -97,11 +78,11 @@ fn finding(
         (true, true) => Verdict::Fault,
         (true, false) => Verdict::NotDetermined,
     };
-    let mut explanation = match optic {
-        Optic::Illumination => {
+    let mut explanation = match group {
+        [_, _, ..] => {
             let terms: Vec<String> =
                 group.iter().map(|one| format!("{} = {:.4} ± {:.4}", one.key(), one.value, one.sigma)).collect();
-            format!("light over the pupil: {}", terms.join(", "))
+            format!("{}: {}", optic.about(), terms.join(", "))
         }
         _ => {
             let (key, value) = own_scene.own_form(&first.key(), first.value);
@@ -155,7 +136,7 @@ pub(super) fn with_header(
     };
     if finding.verdict != Verdict::Fault {
         if has_wavelength && !contradictions.iter().any(|one| one.of_file.key() == WAVELENGTH) {
-            finding.quantity = CheckedQuantity::PlateScale;
+            finding.quantity = CheckedQuantity::Optic(Optic::PLATE_SCALE);
         }
         return;
     }
@@ -171,10 +152,10 @@ pub(super) fn with_header(
     } else if let Some(at) = stated(contradictions, SAMPLING, of_scene) {
         let one = contradictions.remove(at);
         contradictions.retain(|other| other.of_file.key() != SAMPLING);
-        finding.quantity = CheckedQuantity::PlateScale;
+        finding.quantity = CheckedQuantity::Optic(Optic::PLATE_SCALE);
         finding.explanation = format!("{}; the images agree: {}", one.sentence, finding.explanation);
     } else if has_wavelength && !contradictions.iter().any(|one| one.of_file.key() == WAVELENGTH) {
-        finding.quantity = CheckedQuantity::PlateScale;
+        finding.quantity = CheckedQuantity::Optic(Optic::PLATE_SCALE);
         finding.explanation += " (the file confirms the wavelength)";
     } else {
         finding.explanation +=

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::residual_shape::{Shape, ShapeKind};
 use crate::pipeline::warnings::{TOO_SMALL, shown_chi2};
-use crate::scene::Scene;
+use crate::scene::{Optic, Scene};
 
 /// Smallest value of a shape that is a fault. The model's own error looks like a blur of 0.07 pixels, a response
 /// that falls by 0.1 % and, in one of six draws, a faint companion (Keck, 128 samples, peak S/N of 500); the area of a pixel is a blur of
@@ -82,7 +82,7 @@ pub(super) fn photometry(scene: &Scene, fitted: &Fitted, has_fault_of_focus: boo
         findings.push(Finding {
             scene: Some(scene.image.diversity_focus_waves_rms),
             ..Finding::open(
-                CheckedQuantity::Defocus,
+                CheckedQuantity::Optic(Optic::DEFOCUS),
                 "the NCPA have a defocus of their own, which an error of its amplitude looks like",
             )
         });

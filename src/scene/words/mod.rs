@@ -41,10 +41,10 @@ pub use device::{Crop, DeviceChoice};
 pub use estimate::{
     AoKnowledge, Combine, Method, ModelChoice, Optimizer, Precision, Sampling, SegmentConvention, Telemetry, Weighting,
 };
-pub use telescope::{Aperture, NcpaBasis, Optic, PupilModel, SegmentModes};
+pub use telescope::{Aperture, NcpaBasis, PupilModel, SegmentModes};
 
 /// Lists words: `"a", "b" or "c"`.
-fn one_of(words: &[&str]) -> String {
+pub(super) fn one_of(words: &[&str]) -> String {
     let quoted: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
     match quoted.split_last() {
         Some((last, rest)) if !rest.is_empty() => format!("{} or {last}", rest.join(", ")),

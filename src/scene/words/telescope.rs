@@ -21,31 +21,6 @@ words! {
 }
 
 words! {
-    /// Optical parameter of a scene that can be fitted in addition to the modes.
-    #[derive(Copy)]
-    Optic {
-        /// Pixels per λ/D.
-        PlateScale = "plate-scale",
-        /// Rotation of the pupil.
-        Rotation = "rotation",
-        /// Amplitude of the defocus.
-        Defocus = "defocus",
-        /// Width of the filter.
-        Bandwidth = "bandwidth",
-        /// Side of a pixel's sensitive square.
-        PixelFill = "pixel-fill",
-        /// Diameter of the central obscuration.
-        Obscuration = "obscuration",
-        /// Width of the spider's vanes.
-        Spiders = "spiders",
-        /// Light that each segment reflects.
-        Reflectivities = "reflectivities",
-        /// Slopes of the light over the pupil, and its rise from the centre to the edge.
-        Illumination = "illumination",
-    }
-}
-
-words! {
     /// Sampling of the pupil in the model.
     #[derive(Copy)]
     PupilModel {
