@@ -13,7 +13,7 @@ fn main() -> Result<()> {
     let estimate = Estimator::new(&scene)?.estimate(&images)?;
     println!("{}", estimate.report());
 
-    let values = estimate.coefficients_nm.iter().zip(estimate.sigma_nm());
+    let values = estimate.modes.coefficients_nm.iter().zip(estimate.modes.sigma_nm());
     for (name, (nm, sigma_nm)) in estimate.basis.names.iter().zip(values).take(6) {
         println!("{name}: {nm:8.2} ± {sigma_nm:.2} nm");
     }

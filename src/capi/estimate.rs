@@ -8,8 +8,8 @@ use super::policy::policy_number;
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::*;
-use crate::pipeline::{Command, Commands, Corrections, Estimate};
-use crate::scene::{AoKnowledge, Method};
+use crate::pipeline::{Command, Commands, Corrections, Estimate, Figures, MethodResult};
+use crate::scene::AoKnowledge;
 use crate::{Error, Result};
 use std::ffi::c_char;
 use std::path::Path;
@@ -176,21 +176,21 @@ pub unsafe extern "C" fn cophase_estimate_get_info(
 }
 
 fn summary(estimate: &Estimate) -> cophase_estimate_info {
-    let map = estimate.map.as_ref();
+    let map = estimate.full_phase();
     let telemetry = map.and_then(|map| map.telemetry.as_ref());
-    let precision: crate::imaging::Precision = estimate.precision.into();
+    let Figures { phasing, ncpa, wavefront } = estimate.figures;
     cophase_estimate_info {
         images: estimate.images.len(),
         used: estimate.used(),
         clipped: estimate.clipped(),
         modes: estimate.basis.names.len(),
         segment_modes: estimate.segment_modes(),
-        samples: estimate.phasing_nm.nrows(),
+        samples: estimate.maps.phasing_nm.nrows(),
         error_terms: estimate.error_budget.len(),
         warnings: estimate.warnings.len(),
-        method: match estimate.method() {
-            Method::Modal => COPHASE_METHOD_MODAL,
-            Method::FullPhase | Method::Auto => COPHASE_METHOD_MAP,
+        method: match estimate.method {
+            MethodResult::Modal(_) => COPHASE_METHOD_MODAL,
+            MethodResult::FullPhase(_) => COPHASE_METHOD_MAP,
         },
         policy: policy_number(&estimate.policy),
         status: outcome_number(estimate.status),
@@ -203,19 +203,19 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
             AoKnowledge::Loop => COPHASE_AO_KNOWLEDGE_LOOP,
             AoKnowledge::Telemetry => COPHASE_AO_KNOWLEDGE_TELEMETRY,
         }),
-        precision: super::session_options::precision_number(precision),
+        precision: super::session_options::precision_number(estimate.run.precision),
         evaluations: estimate.evaluations() as u64,
-        phasing_rms_nm: estimate.phasing.rms_nm,
-        phasing_sigma_nm: estimate.phasing.sigma_nm,
-        ncpa_rms_nm: estimate.ncpa.rms_nm,
-        ncpa_sigma_nm: estimate.ncpa.sigma_nm,
-        wavefront_rms_nm: estimate.wavefront.rms_nm,
-        wavefront_sigma_nm: estimate.wavefront.sigma_nm,
+        phasing_rms_nm: phasing.rms_nm,
+        phasing_sigma_nm: phasing.sigma_nm,
+        ncpa_rms_nm: ncpa.rms_nm,
+        ncpa_sigma_nm: ncpa.sigma_nm,
+        wavefront_rms_nm: wavefront.rms_nm,
+        wavefront_sigma_nm: wavefront.sigma_nm,
         reduced_chi2: estimate.reduced_chi2,
         images_to_halve: images_to_halve(estimate),
         map_width_m: estimate.pupil.grid.width_m(),
-        seconds: estimate.seconds,
-        model_seconds: estimate.model_seconds,
+        seconds: estimate.run.seconds,
+        model_seconds: estimate.run.model_seconds,
         telemetry_gain: telemetry.map_or(f64::NAN, |check| check.gain),
         telemetry_correlation: telemetry.map_or(f64::NAN, |check| check.correlation),
         channels: estimate.channels.len(),
@@ -224,7 +224,7 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
 }
 
 fn images_to_halve(estimate: &Estimate) -> f64 {
-    let Some(last) = estimate.map.as_ref().and_then(|map| map.iterations.last()) else { return f64::NAN };
+    let Some(last) = estimate.full_phase().and_then(|map| map.iterations.last()) else { return f64::NAN };
     last.further_images(last.error_budget.total_nm.map(|nm| nm / 2.0)).map_or(f64::INFINITY, |images| images as f64)
 }
 
@@ -310,16 +310,20 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
         });
     }
     Ok(match what {
-        COPHASE_ARRAY_COEFFICIENTS_NM => list(estimate.coefficients_nm.clone()),
-        COPHASE_ARRAY_SIGMA_NM => list(estimate.sigma_nm()),
-        COPHASE_ARRAY_COVARIANCE_NM2 => matrix(&estimate.covariance_nm2),
-        COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM if estimate.method() == Method::FullPhase => {
-            return Err(Error::Value("a MAP estimate fits no modes to single images: a modal one is accepted".into()));
-        }
-        COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM => matrix(&estimate.image_coefficients_nm),
+        COPHASE_ARRAY_COEFFICIENTS_NM => list(estimate.modes.coefficients_nm.clone()),
+        COPHASE_ARRAY_SIGMA_NM => list(estimate.modes.sigma_nm()),
+        COPHASE_ARRAY_COVARIANCE_NM2 => matrix(&estimate.modes.covariance_nm2),
+        COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM => match &estimate.method {
+            MethodResult::Modal(modal) => matrix(&modal.image_coefficients_nm),
+            MethodResult::FullPhase(_) => {
+                let none = "a MAP estimate fits no modes to single images: a modal one is accepted";
+                return Err(Error::Value(none.into()));
+            }
+        },
         COPHASE_ARRAY_MAPS_NM => {
-            let maps = [&estimate.phasing_nm, &estimate.ncpa_nm, &estimate.phasing_sigma_nm, &estimate.ncpa_sigma_nm];
-            let (rows, cols) = estimate.phasing_nm.dim();
+            let Estimate { maps, sigma_maps, .. } = estimate;
+            let (rows, cols) = maps.phasing_nm.dim();
+            let maps = [&maps.phasing_nm, &maps.ncpa_nm, &sigma_maps.phasing_nm, &sigma_maps.ncpa_nm];
             (vec![maps.len(), rows, cols], maps.into_iter().flatten().copied().collect())
         }
         COPHASE_ARRAY_ERROR_BUDGET_NM => {
@@ -358,7 +362,7 @@ pub unsafe extern "C" fn cophase_estimate_text(
                 COPHASE_TEXT_REPORT => estimate.report(),
                 COPHASE_TEXT_WARNINGS => estimate.warnings.join("\n"),
                 COPHASE_TEXT_REMARKS => estimate.remarks.join("\n"),
-                COPHASE_TEXT_DEVICE => estimate.device.clone(),
+                COPHASE_TEXT_DEVICE => estimate.run.device.clone(),
                 COPHASE_TEXT_POLICY => estimate.policy.name().into(),
                 COPHASE_TEXT_MODEL => estimate.model.clone(),
                 COPHASE_TEXT_SCENE => estimate.scene.text().into(),

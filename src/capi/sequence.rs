@@ -140,9 +140,9 @@ pub unsafe extern "C" fn cophase_sequence_estimate(
                 place(out, name)?;
             }
             let estimate = sequence.estimate()?;
-            let combined = &estimate.combined;
-            let covariance = combined.covariance_nm2.iter().copied().collect();
-            let values: [Vec<f64>; 3] = [combined.coefficients_nm.clone(), combined.sigma_nm(), covariance];
+            let modes = &estimate.modes;
+            let covariance = modes.covariance_nm2.iter().copied().collect();
+            let values: [Vec<f64>; 3] = [modes.coefficients_nm.clone(), modes.sigma_nm(), covariance];
             for ((out, _), values) in outputs.into_iter().zip(values).filter(|((out, _), _)| !out.is_null()) {
                 put_array(out, values.len(), &[values.len()], values)?;
             }

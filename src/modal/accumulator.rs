@@ -32,7 +32,7 @@ pub struct Accumulator {
 #[derive(Debug, Clone)]
 pub struct RunningEstimate {
     /// Mean or median of the images used, and its covariance.
-    pub combined: CombinedModes,
+    pub modes: CombinedModes,
     /// Number of images that are kept.
     pub images: usize,
     /// Number of images that were combined.
@@ -136,7 +136,7 @@ impl Accumulator {
             ncpa_rms_nm: rms(Group::Ncpa),
             ncpa_sigma_nm: sigma(Group::Ncpa),
             reduced_chi2: median(&chi2),
-            combined: CombinedModes { coefficients_nm, covariance_nm2 },
+            modes: CombinedModes { coefficients_nm, covariance_nm2 },
         })
     }
 

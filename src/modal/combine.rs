@@ -3,18 +3,20 @@
 use super::combined_modes::CombinedModes;
 use super::fitter::ModalFitter;
 use super::global_motions::GlobalMotions;
+use super::image_fits::{FittedCube, ImageFits};
 use super::in_focus::NearLikelihood;
 use super::mean_residual::{EXPLAINED, mean_residual_chi2};
 use super::minimum::Minimum;
 use super::model::Model;
-use super::prepare::{PreparedFrame, Refusal};
+use super::prepare::PreparedFrame;
 use super::residual::variance;
 use super::restart::is_same_minimum;
 use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
 use super::spread::Spread;
-use super::status::{ImageReport, Selection, Status, assess_all, unfitted_report, worst};
-use crate::modes::{Degeneracy, Group, WEAK_BELOW};
-use crate::optimize::StopReason;
+use super::static_maps::StaticMaps;
+use super::status::{ImageReport, Selection, Status, worst};
+use crate::imaging::Precision;
+use crate::modes::{Degeneracy, WEAK_BELOW};
 use crate::scene::Combine;
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -33,23 +35,39 @@ pub struct FittedImage {
     pub residual_sigma: Array2<f64>,
 }
 
-/// A new combination of some images of an estimate; see [`ModalFitter::combine_subset`].
+/// Combination of some images: which, and the static wavefront of them.
 #[derive(Debug, Clone)]
 pub struct Combination {
-    /// The images that were combined.
+    /// The images that were combined: of up to seven those with the best kind of status, from eight on all that converged
+    /// and were not clipped.
     pub used_images: Vec<usize>,
-    /// Images that the clipped mean left out.
+    /// Images that converged and that the clipped mean left out.
     pub clipped_images: Vec<usize>,
-    /// Mean or median over the images.
-    pub combined: CombinedModes,
-    /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
-    pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations, `[y, x]`, nm, NaN outside the pupil.
-    pub ncpa_nm: Array2<f64>,
-    /// Error bar of the phasing map, 1σ, nm.
-    pub phasing_sigma_nm: Array2<f64>,
-    /// Error bar of the NCPA map, 1σ, nm.
-    pub ncpa_sigma_nm: Array2<f64>,
+    /// Mean or median over the images that were used.
+    pub modes: CombinedModes,
+    /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
+    pub averaged_covariance_nm2: Array2<f64>,
+    /// Segment errors and NCPA.
+    pub maps: StaticMaps,
+    /// Error bars of the maps.
+    pub sigma_maps: StaticMaps,
+}
+
+impl Combination {
+    /// That of images whose modes are `likelihood`, without a prior and without the errors that all images share.
+    fn new(
+        fitter: &ModalFitter,
+        likelihood: CombinedModes,
+        used_images: Vec<usize>,
+        clipped_images: Vec<usize>,
+    ) -> Result<Self> {
+        let model = &fitter.model;
+        let CombinedModes { coefficients_nm, covariance_nm2: averaged_covariance_nm2 } = with_prior(model, likelihood)?;
+        let covariance_nm2 = fitter.with_shared(averaged_covariance_nm2.clone());
+        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
+        let (maps, sigma_maps) = (StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes));
+        Ok(Self { used_images, clipped_images, modes, averaged_covariance_nm2, maps, sigma_maps })
+    }
 }
 
 /// Modal estimate of the static wavefront; see [`ModalFitter::estimate`].
@@ -61,27 +79,12 @@ pub struct ModalEstimate {
     pub image_coefficients_nm: Array2<f64>,
     /// How they were combined.
     pub combine: Combine,
-    /// The images that were combined: of up to seven those with the best kind of status, from eight on all that converged
-    /// and were not clipped.
-    pub used_images: Vec<usize>,
-    /// Images that converged and that the clipped mean left out.
-    pub clipped_images: Vec<usize>,
-    /// Mean or median over the images that were used.
-    pub combined: CombinedModes,
+    /// The static wavefront of the images that were used.
+    pub combined: Combination,
     /// Reduced χ² of the mean residual of the images that were used, which shows errors of the model that are too small to
     /// be seen in one image; that of one image is its own. Where the median of χ² is above 2 it is 1: error bars of a wavefront
     /// that changes are from the scatter.
     pub mean_residual_chi2: f64,
-    /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
-    pub averaged_covariance_nm2: Array2<f64>,
-    /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
-    pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations, `[y, x]`, nm, NaN outside the pupil.
-    pub ncpa_nm: Array2<f64>,
-    /// Error bar of the phasing map, 1σ, nm.
-    pub phasing_sigma_nm: Array2<f64>,
-    /// Error bar of the NCPA map, 1σ, nm.
-    pub ncpa_sigma_nm: Array2<f64>,
     /// The first image that was used, with its model.
     pub compared: FittedImage,
     /// Combinations of modes that change the images little or not at all.
@@ -93,7 +96,7 @@ pub struct ModalEstimate {
     /// Why the device that `auto` selected failed, as a sentence; `None` where it did not.
     pub device_failure: Option<String>,
     /// Precision of the chain.
-    pub precision: &'static str,
+    pub precision: Precision,
     /// The combined modes without a prior and without the errors that all images share.
     likelihood: CombinedModes,
     /// The likelihood of images in focus near the estimate of others, in place of `likelihood`.
@@ -126,12 +129,12 @@ impl ModalEstimate {
 
     /// Number of images that were combined.
     pub fn used(&self) -> usize {
-        self.used_images.len()
+        self.combined.used_images.len()
     }
 
     /// Median reduced χ² of the images that were used.
     pub fn reduced_chi2(&self) -> f64 {
-        median(&self.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect::<Vec<_>>())
+        median(&self.combined.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect::<Vec<_>>())
     }
 
     /// Whether this estimate explains the images better than another one of them: by χ², or by its status where they ended in the
@@ -158,27 +161,12 @@ pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
     reports.iter().filter(|report| report.status.has_converged()).count() >= SEQUENCE
 }
 
-/// Combines all images of a call. `indices` are the images that the minima belong to.
-pub(super) fn combine(
-    estimator: &ModalFitter,
-    refused: Vec<Option<Refusal>>,
-    indices: &[usize],
-    prepared: &[PreparedFrame],
-    mut minima: Vec<Minimum>,
-) -> Result<ModalEstimate> {
-    let model = &estimator.model;
-    let motions = &estimator.motions;
-    minima.iter_mut().for_each(|minimum| motions.remove(&mut minimum.coefficients_nm));
-    let reports = assess_all(estimator, prepared, &minima);
-    // Reports of images that were not fitted first; those of fitted images then take their places.
-    let reason =
-        |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
-    let mut images: Vec<ImageReport> = refused.into_iter().map(|refused| unfitted_report(reason(refused))).collect();
-    let mut image_coefficients_nm = Array2::from_elem((images.len(), model.optics.modes()), f64::NAN);
-    for ((&image, minimum), report) in indices.iter().zip(&minima).zip(&reports) {
-        images[image] = *report;
-        image_coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
-    }
+/// Combines the fits of all images of a call.
+pub(super) fn combine(estimator: &ModalFitter, mut fitted: FittedCube) -> Result<ModalEstimate> {
+    let (model, motions) = (&estimator.model, &estimator.motions);
+    let ImageFits { coefficients_nm: image_coefficients_nm, reports: images } = fitted.assess(estimator);
+    let FittedCube { indices, prepared, minima, .. } = &fitted;
+    let reports: Vec<ImageReport> = indices.iter().map(|&image| images[image]).collect();
     let how = estimator.recipe.combine;
     let fitted_reports: Vec<&ImageReport> = reports.iter().collect();
     let fitted_nm = image_coefficients_nm.select(Axis(0), indices);
@@ -191,9 +179,9 @@ pub(super) fn combine(
         let scatter_nm2 = motions.removed_from(&scatter(&used_nm, how, &noise_nm2));
         (SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher)
     } else {
-        few_images(estimator, prepared, &minima, &reports, &used, &used_nm)?
+        few_images(estimator, prepared, minima, &reports, &used, &used_nm)?
     };
-    let mean_residual_chi2 = mean_residual_chi2(estimator, prepared, &minima, &reports, &used);
+    let mean_residual_chi2 = mean_residual_chi2(estimator, prepared, minima, &reports, &used);
     let shrinkage = shrinkage_of_variance(how, used.len());
     // The noise of a few images is scaled by their own χ² already.
     let scaled = if is_sequence(&fitted_reports) { 1.0 } else { scale_of_noise(&reports, &used) };
@@ -202,34 +190,22 @@ pub(super) fn combine(
     }
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
     let likelihood = CombinedModes { coefficients_nm, covariance_nm2 };
-    let averaged = with_prior(model, likelihood.clone())?;
-    let averaged_covariance_nm2 = averaged.covariance_nm2.clone();
-    let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
-    let [phasing_nm, ncpa_nm] = maps(model, &combined);
-    let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
     Ok(ModalEstimate {
         combine: how,
-        phasing_nm,
-        ncpa_nm,
-        phasing_sigma_nm,
-        ncpa_sigma_nm,
+        combined: Combination::new(estimator, likelihood.clone(), images_of(&used), images_of(&clipped))?,
         mean_residual_chi2,
         compared: fitted_image(estimator, &minima[first], &prepared[first]),
-        used_images: images_of(&used),
-        clipped_images: images_of(&clipped),
         degeneracy: Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW)?,
         images,
         image_coefficients_nm,
-        combined,
-        averaged_covariance_nm2,
         likelihood,
         near: None,
         single,
         seconds: 0.0,
         device: String::new(),
         device_failure: None,
-        precision: "",
+        precision: Precision::default(),
     })
 }
 
@@ -240,10 +216,10 @@ pub(super) fn subset(
     images: &[usize],
     how: Combine,
 ) -> Result<Combination> {
-    let (model, count) = (&estimator.model, estimate.images.len());
-    if estimate.image_coefficients_nm.ncols() != model.optics.modes() {
-        let modes = (estimate.image_coefficients_nm.ncols(), model.optics.modes());
-        return Err(Error::Shape(format!("the estimate has {} modes where its estimator has {}", modes.0, modes.1)));
+    let count = estimate.images.len();
+    let (modes, own) = (estimate.image_coefficients_nm.ncols(), estimator.model.optics.modes());
+    if modes != own {
+        return Err(Error::Shape(format!("the estimate has {modes} modes where its estimator has {own}")));
     }
     if let Some(image) = images.iter().find(|&&image| image >= count) {
         return Err(Error::Value(format!(
@@ -263,17 +239,12 @@ pub(super) fn subset(
     } else {
         estimate.single.scatter_nm2.clone()
     };
-    let averaged = CombinedModes {
+    let likelihood = CombinedModes {
         coefficients_nm: centre(motions, &used_nm, how),
         covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
     };
-    let averaged = with_prior(model, averaged)?;
-    let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
-    let [phasing_nm, ncpa_nm] = maps(model, &combined);
-    let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
-    let (used_images, clipped_images) = (images_of(&used), images_of(&clipped));
-    Ok(Combination { used_images, clipped_images, combined, phasing_nm, ncpa_nm, phasing_sigma_nm, ncpa_sigma_nm })
+    Combination::new(estimator, likelihood, images_of(&used), images_of(&clipped))
 }
 
 fn nothing_fitted(reports: &[&ImageReport]) -> Error {
@@ -366,16 +337,6 @@ pub(super) fn covariance_with_scatter(mut noise_nm2: Array2<f64>, used_nm: &Arra
     noise_nm2
 }
 
-/// Maps of phasing and NCPA.
-pub(super) fn maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
-    [Group::Segment, Group::Ncpa].map(|group| model.map_nm(&combined.coefficients_nm, group))
-}
-
-/// Error bars of phasing and NCPA.
-pub(super) fn sigma_maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
-    [Group::Segment, Group::Ncpa].map(|group| sigma_map(model, &combined.covariance_nm2, group))
-}
-
 /// The image of a fit beside its model.
 pub(super) fn fitted_image(estimator: &ModalFitter, minimum: &Minimum, prepared: &PreparedFrame) -> FittedImage {
     let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
@@ -389,10 +350,4 @@ pub(super) fn fitted_image(estimator: &ModalFitter, minimum: &Minimum, prepared:
     let residual_sigma =
         Array2::from_shape_fn((size, size), |at| (data_e[at] - model_e[at]) / variance_e2[pixel(at)].sqrt());
     FittedImage { data_e, model_e, residual_sigma }
-}
-
-/// √ of the diagonal of M C Mᵀ over the pupil, for the modes of one group.
-fn sigma_map(model: &Model, covariance_nm2: &Array2<f64>, group: Group) -> Array2<f64> {
-    let variance_nm2 = model.basis.variance(covariance_nm2, model.modes_of(group));
-    model.outside_to_nan(variance_nm2.mapv(|v| v.max(0.0).sqrt()))
 }

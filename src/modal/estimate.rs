@@ -6,60 +6,21 @@ use super::cube::Cube;
 use super::engine::{FitState, FitTask, ImageFit};
 use super::fit_series::{FIRST, FitSeries, SeriesStep};
 use super::fitter::ModalFitter;
+use super::image_fits::{FittedCube, ImageFits};
 use super::in_focus::NearLikelihood;
-use super::minimum::Minimum;
 use super::outliers::CleanedFrame;
 use super::pistons;
-use super::prepare::{Frame, PreparedFrame, Refusal};
+use super::prepare::Frame;
 use super::sequence::SEQUENCE;
-use super::status::{self, ImageReport, Status};
+use super::status::Status;
 use crate::control::{Control, Stage};
-use crate::imaging::{Chain, Precision};
+use crate::imaging::Chain;
 use crate::scene::Combine;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1};
 use std::time::Instant;
-
-/// Coefficients and report of each image; see [`ModalFitter::fit_each`].
-#[derive(Debug, Clone)]
-pub struct ImageFits {
-    /// `[image, mode]`, nm, pistons about their mean over the pupil; NaN for images that cannot be used.
-    pub coefficients_nm: Array2<f64>,
-    /// Report of each image, in order.
-    pub reports: Vec<ImageReport>,
-}
 
 /// Estimate of some images, with the fitter that made it.
 pub(crate) type ModalFit = (ModalFitter, ModalEstimate);
-
-/// Fits of a cube of images.
-pub(super) struct FittedCube {
-    /// For each image, why it could not be used.
-    pub(super) refused: Vec<Option<Refusal>>,
-    /// The images that were fitted.
-    pub(super) indices: Vec<usize>,
-    pub(super) prepared: Vec<PreparedFrame>,
-    pub(super) minima: Vec<Minimum>,
-}
-
-impl FittedCube {
-    fn from_fits(fits: Vec<ImageFit>) -> Self {
-        let mut fitted = Self { refused: Vec::new(), indices: Vec::new(), prepared: Vec::new(), minima: Vec::new() };
-        for (image, fit) in fits.into_iter().enumerate() {
-            let refused = match fit.state {
-                FitState::Refused(refusal) => Some(refusal),
-                FitState::NotBegun | FitState::Fitted => None,
-            };
-            fitted.refused.push(refused);
-            if fit.is_fitted() {
-                fitted.indices.push(image);
-                fitted.prepared.push(fit.prepared);
-                fitted.minima.push(fit.minimum);
-            }
-        }
-        fitted
-    }
-}
 
 impl ModalFitter {
     /// Estimates the static wavefront behind a cube of images (`[image, y, x]`, electrons) on `chain`.
@@ -110,15 +71,11 @@ impl ModalFitter {
     }
 
     fn combined(&self, chain: &Chain, fitted: FittedCube, started: Instant) -> Result<ModalEstimate> {
-        let FittedCube { refused, indices, prepared, minima } = fitted;
-        let mut estimate = combine::combine(self, refused, &indices, &prepared, minima)?;
+        let mut estimate = combine::combine(self, fitted)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
         estimate.device_failure = chain.failure().map(str::to_owned);
-        estimate.precision = match chain.precision() {
-            Precision::F32 => "f32",
-            Precision::F64 => "f64",
-        };
+        estimate.precision = chain.precision();
         Ok(estimate)
     }
 
@@ -128,20 +85,7 @@ impl ModalFitter {
     /// # Errors
     /// As [`ModalFitter::estimate`].
     pub fn fit_each(&self, chain: &mut Chain, cube: Cube, control: &Control) -> Result<ImageFits> {
-        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, None, None, control)?;
-        let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
-        let mut reports: Vec<ImageReport> = refused
-            .into_iter()
-            .map(|refusal| status::unfitted_report(refusal.map_or(Status::Ok, Status::Unusable)))
-            .collect();
-        for ((&image, mut minimum), report) in
-            indices.iter().zip(minima.iter().cloned()).zip(status::assess_all(self, &prepared, &minima))
-        {
-            self.motions.remove(&mut minimum.coefficients_nm);
-            coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
-            reports[image] = report;
-        }
-        Ok(ImageFits { coefficients_nm, reports })
+        Ok(self.fit_all(chain, cube, None, None, control)?.assess(self))
     }
 
     /// Prepares and fits every image as the recipe says: from `start_nm`, or else from the flat wavefront with restarts of fits in a wrong

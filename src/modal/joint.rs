@@ -18,13 +18,14 @@
 //! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the channels are of one wavefront by one
 //! model: an image that is flipped, or of another wavelength than the scene says, disagrees with the others.
 
-use super::combine::{ModalEstimate, maps, sigma_maps, with_prior};
+use super::combine::{ModalEstimate, with_prior};
 use super::combined_modes::CombinedModes;
 use super::fisher::{self, null_floor, pseudo_inverse, without};
 use super::fitted_optic::FittedOptic;
 use super::fitter::ModalFitter;
 use super::integers::{self, ColourChannel, PistonInteger};
 use super::pistons;
+use super::static_maps::StaticMaps;
 use super::tilts::spanned_tip_and_tilt;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
@@ -47,13 +48,11 @@ const LEAST_SHARE: f64 = 1e-4;
 /// Estimate from several channels.
 pub(crate) struct JointEstimate {
     /// The modes, with the prior and the errors that all images share.
-    pub(crate) combined: CombinedModes,
-    /// The part of the covariance that further images would average out, nm².
-    pub(crate) averaged_covariance_nm2: Array2<f64>,
-    /// Segment errors and NCPA, `[y, x]`, nm, NaN outside the pupil.
-    pub(crate) maps_nm: [Array2<f64>; 2],
+    pub(crate) modes: CombinedModes,
+    /// Segment errors and NCPA.
+    pub(crate) maps: StaticMaps,
     /// Their error bars.
-    pub(crate) sigma_maps_nm: [Array2<f64>; 2],
+    pub(crate) sigma_maps: StaticMaps,
     /// Amplitude of the diversity of the first channel that has one, where it was fitted.
     pub(crate) defocus: Option<FittedOptic>,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
@@ -106,14 +105,14 @@ fn resolve(
 /// [`Error::Value`] where no mode changes the images.
 pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
-    let (modes, model) = (first.model.optics.modes(), &first.model);
+    let (count, model) = (first.model.optics.modes(), &first.model);
     if let Some((other, _)) = channels.iter().find(|(fitter, _)| fitter.model.basis.names() != model.basis.names()) {
         return Err(Error::Scene(format!(
             "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
             other.scene.name(),
             other.model.basis.len(),
             first.scene.name(),
-            modes
+            count
         )));
     }
     let likelihoods = channels.iter().enumerate();
@@ -155,19 +154,18 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
     let disagreement = found.disagreement(&likelihoods);
     let diversity_effect_nm = (!found.has_amplitude).then(|| {
         let each = likelihoods.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
-        found.covariance.dot(&each.fold(Array1::zeros(modes), |sum, one| sum + one))
+        found.covariance.dot(&each.fold(Array1::zeros(count), |sum, one| sum + one))
     });
-    let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
+    let mut coefficients_nm = found.solution.slice(s![..count]).to_vec();
     first.motions.remove(&mut coefficients_nm);
     // Channels that disagree by more than their noise are wrong by at least as much.
-    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..modes, ..modes]).to_owned());
+    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..count, ..count]).to_owned());
     let covariance_nm2 = covariance_nm2 * disagreement.0.max(1.0);
-    let combined = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    let modes = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
     Ok(JointEstimate {
-        averaged_covariance_nm2: combined.covariance_nm2.clone(),
-        maps_nm: maps(model, &combined),
-        sigma_maps_nm: sigma_maps(model, &combined),
-        combined,
+        maps: StaticMaps::of_modes(model, &modes),
+        sigma_maps: StaticMaps::of_error_bars(model, &modes),
+        modes,
         defocus,
         integers,
         diversity_effect_nm,

@@ -19,6 +19,7 @@ pub use options::{FitOptions, GroupResult, ImageResult, RefinedGroup, SessionOpt
 use super::channel_fitters::ChannelFitters;
 use super::combine::combine;
 use super::diversity_error::has_diversity;
+use super::image_fits::FittedCube;
 use super::joint::{contradict, joint};
 use super::status::worst;
 use crate::control::Control;
@@ -27,7 +28,6 @@ use crate::{Error, Result};
 use combiner::{Combiner, FittedChannel};
 use ndarray::{ArrayView2, ArrayViewMut2};
 use options::check_read_noise;
-use std::slice::from_ref;
 use std::time::Instant;
 
 /// A workspace for fits with the models of the channels of a scene: frames are written into it ([`Session::frame_mut`]), fitted, and
@@ -172,10 +172,8 @@ impl Session {
             )));
         }
         let found = self.channels.iter().map(|channel| {
-            let fit = &channel.fits()[group];
-            let found =
-                combine(channel.estimator(), vec![None], &[0], from_ref(&fit.prepared), vec![fit.minimum.clone()]);
-            found.map_err(|error| error.of_channel(channel.name()))
+            let fitted = FittedCube::from_fits(vec![channel.fits()[group].clone()]);
+            combine(channel.estimator(), fitted).map_err(|error| error.of_channel(channel.name()))
         });
         let found = found.collect::<Result<Vec<_>>>()?;
         let each: Vec<_> =
@@ -184,8 +182,8 @@ impl Session {
         Ok(RefinedGroup {
             disagreement: joint.disagreement,
             is_contradictory: joint.is_contradictory(),
-            coefficients_nm: joint.combined.coefficients_nm,
-            covariance_nm2: joint.combined.covariance_nm2,
+            coefficients_nm: joint.modes.coefficients_nm,
+            covariance_nm2: joint.modes.covariance_nm2,
             integers: joint.integers,
         })
     }

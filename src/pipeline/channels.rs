@@ -2,11 +2,12 @@
 
 use super::budget::ErrorTerm;
 use super::consistency::Electrons;
-use super::estimate::{Estimate, Figure, OpticalParameter};
+use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::explain::explain;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{Extension, Selected};
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
 use crate::control::{Control, Stage};
@@ -59,8 +60,7 @@ pub(super) fn estimate(
     let (mut fits, mut found) = defocused.fit_with_extensions(series)?;
     let (mut used, mut left_out) = (with.clone(), Vec::new());
     if !in_focus.is_empty() {
-        let others =
-            (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
+        let others = (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.modes.clone());
         let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
         let own = Channels::new(scene, policy, control, &in_focus)?;
         let own = own.extended(selected.map_or(&[], |selected| &selected.extensions))?;
@@ -238,9 +238,9 @@ impl<'a> Channels<'a> {
         for (channel, fitted) in fits.iter_mut().enumerate() {
             let (fitter, found) = &fitted.fit;
             let attempt = fitter.recipe().restarts + round;
-            let perturbed_nm = fitter.perturbed_start(&found.combined.coefficients_nm, attempt);
+            let perturbed_nm = fitter.perturbed_start(&found.combined.modes.coefficients_nm, attempt);
             let others_nm = joint.channels_nm.iter().enumerate().filter(|(other, _)| *other != channel);
-            let starts_nm = others_nm.map(|(_, nm)| nm).chain([&joint.combined.coefficients_nm, &perturbed_nm]);
+            let starts_nm = others_nm.map(|(_, nm)| nm).chain([&joint.modes.coefficients_nm, &perturbed_nm]);
             for start_nm in starts_nm {
                 is_better |= self.named(channel, self.task(channel).improve(fitted, start_nm))?;
             }
@@ -256,62 +256,54 @@ fn own_scene(scene: &Scene) -> Result<Scene> {
 
 /// The estimate of all channels, from the joint one and those of each channel.
 fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<Estimate>) -> Result<Estimate> {
-    let fitters: Vec<_> = each.iter().filter_map(|one| one.fitter.clone()).collect();
-    let Some(fitter) = fitters.first() else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
-    let errors = ExpectedErrors::new(fitter.model())?;
-    let warnings = warnings(&found, &names, &each);
-    let remarks = remarks(&found, &errors, &each)?;
-    let used = each.iter().flat_map(|one| one.images.iter().filter(|image| image.is_used));
-    let reduced_chi2 = median(&used.map(|image| image.reduced_chi2).collect::<Vec<_>>());
-    let views: Vec<_> = each.iter().map(|one| one.image_coefficients_nm.view()).collect();
-    let image_coefficients_nm = concatenate(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?;
-    let optics = optics(&found, &names, &each);
-    let sum = |value: fn(&Estimate) -> f64| each.iter().map(value).sum::<f64>();
-    let (seconds, model_seconds) = (sum(|one| one.seconds), sum(|one| one.model_seconds));
-    let status = each.iter().map(|one| one.status).max();
+    let fits: Vec<&ModalSummary> = each.iter().filter_map(Estimate::modal).collect();
+    let ([own, ..], [first, ..]) = (&fits[..], &each[..]) else {
+        return Err(Error::Internal("there is no modal estimate of a channel".into()));
+    };
+    let errors = ExpectedErrors::new(own.fitter.model())?;
+    let views: Vec<_> = fits.iter().map(|one| one.image_coefficients_nm.view()).collect();
+    let method = MethodResult::Modal(ModalSummary {
+        combine: own.combine,
+        image_coefficients_nm: concatenate(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?,
+        compared: fits.iter().flat_map(|one| one.compared.iter().cloned()).collect(),
+        degeneracy: own.degeneracy.clone(),
+        fitter: own.fitter.clone(),
+    });
+    let of_channel = |(channel, one): (usize, &Estimate)| -> Vec<ImageOutcome> {
+        one.images.iter().map(|image| ImageOutcome { channel, ..image.clone() }).collect()
+    };
+    let images: Vec<ImageOutcome> = each.iter().enumerate().flat_map(of_channel).collect();
+    let used = images.iter().filter(|image| image.is_used);
+    let sum = |value: fn(&Run) -> f64| each.iter().map(|one| value(&one.run)).sum::<f64>();
     let is_sequence = each.iter().any(|one| one.is_sequence);
-    let mut images = Vec::new();
-    for (channel, one) in each.iter().enumerate() {
-        images.extend(one.images.iter().map(|image| super::ImageOutcome { channel, ..image.clone() }));
-    }
-    let compared = each.iter().flat_map(|one| one.compared.iter().cloned()).collect();
-    let Some(first) = each.into_iter().next() else { return Err(Error::Internal("there is no channel".into())) };
-    let found_defocus = found.defocus.is_some();
-    let JointEstimate { combined, averaged_covariance_nm2, maps_nm, sigma_maps_nm, integers, .. } = found;
-    let sigma_nm = errors.rms_nm(&combined.covariance_nm2)?;
-    let averaged_nm = errors.rms_nm(&averaged_covariance_nm2)?;
-    let ([phasing_nm, ncpa_nm], [phasing_sigma_nm, ncpa_sigma_nm]) = (maps_nm, sigma_maps_nm);
-    let wavefront_nm = &phasing_nm + &ncpa_nm;
     let name = if is_sequence { "scatter between images" } else { "noise" };
-    let is_unknown = scene.estimate.diversity_error > 0.0 || found_defocus;
+    let is_unknown = scene.estimate.diversity_error > 0.0 || found.defocus.is_some();
     let name = format!("{name}{}", if is_unknown { ", amplitude of the diversities" } else { "" });
+    let sigma_nm = errors.rms_nm(&found.modes.covariance_nm2)?;
     Ok(Estimate {
         // The scene as given, with its channels.
         scene: scene.clone(),
-        phasing: Figure::from_map(&first.pupil, phasing_nm.view(), sigma_nm[0])?,
-        ncpa: Figure::from_map(&first.pupil, ncpa_nm.view(), sigma_nm[1])?,
-        wavefront: Figure::from_map(&first.pupil, wavefront_nm.view(), sigma_nm[2])?,
-        error_budget: vec![ErrorTerm { name, phasing_nm: averaged_nm[0], ncpa_nm: averaged_nm[1] }],
-        coefficients_nm: combined.coefficients_nm,
-        covariance_nm2: combined.covariance_nm2,
-        phasing_nm,
-        ncpa_nm,
-        phasing_sigma_nm,
-        ncpa_sigma_nm,
+        policy: first.policy,
+        basis: first.basis.clone(),
+        figures: Figures::new(&first.pupil, &found.maps, sigma_nm)?,
+        pupil: first.pupil.clone(),
+        error_budget: vec![ErrorTerm { name, phasing_nm: sigma_nm[0], ncpa_nm: sigma_nm[1] }],
+        reduced_chi2: median(&used.map(|image| image.reduced_chi2).collect::<Vec<_>>()),
         images,
-        image_coefficients_nm,
-        reduced_chi2,
+        status: each.iter().map(|one| one.status).max().unwrap_or(first.status),
         is_sequence,
-        status: status.unwrap_or(first.status),
-        optics,
-        warnings,
-        remarks,
-        compared,
-        seconds,
-        model_seconds,
+        model: first.model.clone(),
+        optics: optics(&found, &names, &each),
+        warnings: warnings(&found, &names, &each),
+        remarks: remarks(&found, &errors, &each)?,
+        run: Run { seconds: sum(|run| run.seconds), model_seconds: sum(|run| run.model_seconds), ..first.run.clone() },
         channels: names,
-        integers,
-        ..first
+        modes: found.modes,
+        maps: found.maps,
+        sigma_maps: found.sigma_maps,
+        integers: found.integers,
+        truth: None,
+        method,
     })
 }
 

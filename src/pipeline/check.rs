@@ -314,7 +314,7 @@ fn chi2_of(fitted: &Fitted) -> f64 {
 
 /// The first image that is used.
 fn first_used(fitted: &Fitted) -> usize {
-    fitted.fit.1.used_images.first().copied().unwrap_or_default()
+    fitted.fit.1.combined.used_images.first().copied().unwrap_or_default()
 }
 
 /// Pixels that are fitted.

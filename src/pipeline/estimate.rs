@@ -1,17 +1,16 @@
 //! Estimate: the static wavefront behind images, with error bars, by either method.
 
 use super::budget::ErrorTerm;
-use super::images::TruthMaps;
 use super::modal_errors::ModalErrors;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
+use crate::imaging::Precision;
 use crate::loop_response::Corrections;
-use crate::modal::ImageStatus;
-use crate::modal::{self, FittedImage, PistonInteger};
+use crate::modal::{CombinedModes, FittedImage, ImageStatus, ModalFitter, PistonInteger, StaticMaps};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
-use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
+use crate::scene::{AoKnowledge, Combine, Method, Scene};
 use crate::statics::Iteration;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -29,70 +28,68 @@ pub struct Estimate {
     pub policy: Policy,
     /// Names and groups of the modes.
     pub basis: Basis,
-    /// Coefficient of each mode, nm; pistons have zero mean over the pupil.
-    pub coefficients_nm: Vec<f64>,
-    /// Covariance of the coefficients, nm².
-    pub covariance_nm2: Array2<f64>,
-    /// Segment errors.
-    pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations.
-    pub ncpa_nm: Array2<f64>,
-    /// Error bar of the phasing map, 1σ.
-    pub phasing_sigma_nm: Array2<f64>,
-    /// Error bar of the NCPA map, 1σ.
-    pub ncpa_sigma_nm: Array2<f64>,
-    /// RMS over the pupil of the phasing, piston, tip and tilt removed, and its error bar.
-    pub phasing: Figure,
-    /// RMS of the NCPA, and its error bar.
-    pub ncpa: Figure,
-    /// RMS of the sum of both, and its error bar; the error bar is NaN in a MAP estimate, which does not compute it.
-    pub wavefront: Figure,
+    /// Coefficients of the modes, with their covariance.
+    pub modes: CombinedModes,
+    /// The pupil on which the maps are.
+    pub pupil: Pupil,
+    /// Segment errors and NCPA.
+    pub maps: StaticMaps,
+    /// Error bars of the maps.
+    pub sigma_maps: StaticMaps,
+    /// RMS of the maps over the pupil.
+    pub figures: Figures,
     /// Contributions to the error bars of phasing and NCPA.
     pub error_budget: Vec<ErrorTerm>,
     /// Outcome of each image, in order.
     pub images: Vec<ImageOutcome>,
-    /// Coefficients of each image, `[image, mode]`, nm, NaN for unusable ones; no rows in a MAP estimate.
-    pub image_coefficients_nm: Array2<f64>,
-    /// How the images were combined; `None` in a MAP estimate.
-    pub combine: Option<Combine>,
+    /// Names of the channels whose images it is from, in order; none for a scene with one way of imaging.
+    pub channels: Vec<String>,
+    /// Worst status of the images that the estimate depends on.
+    pub status: ImageStatus,
     /// Median reduced χ² of the images that were used.
     pub reduced_chi2: f64,
     /// Whether error bars are from the scatter between images, as from eight images on.
     pub is_sequence: bool,
-    /// Worst status of the images that the estimate depends on.
-    pub status: ImageStatus,
     /// Description of the modes that were added to the scene's.
     pub model: String,
     /// Optical parameters that were fitted, or found to differ from the scene's.
     pub optics: Vec<OpticalParameter>,
+    /// Whole wavelengths of each segment's piston, in the order of the segments; none where the channels have one wavelength.
+    pub integers: Vec<PistonInteger>,
     /// Warnings: sentences that a user should read before using the numbers.
     pub warnings: Vec<String>,
     /// Remarks that hold for every image of this scene.
     pub remarks: Vec<String>,
-    /// The pupil on which the maps are.
-    pub pupil: Pupil,
-    /// Where it ran.
-    pub device: String,
-    /// Precision of the imaging chain.
-    pub precision: Precision,
-    /// Wall-clock time of the estimate, s, without building the model where that is apart.
-    pub seconds: f64,
-    /// Wall-clock time of building the model, s.
-    pub model_seconds: f64,
-    /// First image of each channel that was used, with its model, in the order of `channels`; none in a MAP estimate.
-    pub compared: Vec<FittedImage>,
-    /// Combinations of modes that change the images little or not at all; `None` in a MAP estimate.
-    pub degeneracy: Option<Degeneracy>,
+    /// Where it ran, and how long.
+    pub run: Run,
     /// Maps that simulated images were made with, and the residual against them.
-    pub truth: Option<(TruthMaps, Comparison)>,
-    /// Modal fitter with the model that the images were compared with; `None` in a MAP estimate.
-    pub fitter: Option<Arc<modal::ModalFitter>>,
-    /// Iterations and assumptions of a MAP estimate; `None` in a modal one.
-    pub map: Option<MapSummary>,
-    /// Whole wavelengths of each segment's piston, in the order of the segments; none where the channels have one wavelength.
-    pub integers: Vec<PistonInteger>,
-    /// Names of the channels whose images it is from, in order; none for a scene with one way of imaging.
-    pub channels: Vec<String>,
+    pub truth: Option<(StaticMaps, Comparison)>,
+    /// What only estimates by its method have.
+    pub method: MethodResult,
+}
+
+/// What only estimates by one method have.
+#[derive(Debug, Clone)]
+pub enum MethodResult {
+    /// Static modes fitted to each image, images combined.
+    Modal(ModalSummary),
+    /// Maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the turbulence.
+    FullPhase(MapSummary),
+}
+
+/// Fits of a modal estimate.
+#[derive(Debug, Clone)]
+pub struct ModalSummary {
+    /// How the images were combined.
+    pub combine: Combine,
+    /// Coefficients of each image, `[image, mode]`, nm, NaN for unusable ones.
+    pub image_coefficients_nm: Array2<f64>,
+    /// First image of each channel that was used, with its model, in the order of [`Estimate::channels`].
+    pub compared: Vec<FittedImage>,
+    /// Combinations of modes that change the images little or not at all.
+    pub degeneracy: Degeneracy,
+    /// Modal fitter with the model that the images were compared with; of several channels that of the first.
+    pub fitter: Arc<ModalFitter>,
 }
 
 /// Names and groups of modes, in order: segments first, then NCPA.
@@ -111,6 +108,30 @@ pub struct Figure {
     pub rms_nm: f64,
     /// Expected RMS of its error, nm.
     pub sigma_nm: f64,
+}
+
+/// RMS of the maps of an estimate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figures {
+    /// Of the segment errors.
+    pub phasing: Figure,
+    /// Of the NCPA.
+    pub ncpa: Figure,
+    /// Of the sum of both; its error bar is NaN in a MAP estimate, which does not compute it.
+    pub wavefront: Figure,
+}
+
+/// Where an estimate ran, and how long.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// The device.
+    pub device: String,
+    /// Precision of the imaging chain.
+    pub precision: Precision,
+    /// Wall-clock time of the estimate, s, without building the model where that is apart.
+    pub seconds: f64,
+    /// Wall-clock time of building the model, s.
+    pub model_seconds: f64,
 }
 
 /// An optical parameter that was fitted together with the modes.
@@ -134,10 +155,8 @@ pub struct OpticalParameter {
 /// Estimate minus truth, piston, tip and tilt removed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
-    /// Residual map of the phasing, `[y, x]`, nm.
-    pub phasing_nm: Array2<f64>,
-    /// Residual map of the NCPA.
-    pub ncpa_nm: Array2<f64>,
+    /// Residual maps of phasing and NCPA.
+    pub maps: StaticMaps,
     /// RMS of the residual of phasing, NCPA and their sum, nm.
     pub rms_nm: [f64; 3],
 }
@@ -159,10 +178,16 @@ pub struct MapSummary {
     pub segment_reflectivities: Vec<f64>,
 }
 
-impl Figure {
-    /// RMS of `map` over the pupil, piston, tip and tilt removed, with this error bar.
-    pub(super) fn from_map(pupil: &Pupil, map: ArrayView2<f64>, sigma_nm: f64) -> Result<Self> {
-        Ok(Self { rms_nm: detrended(pupil, map)?.1, sigma_nm })
+impl Figures {
+    /// RMS of `maps` over the pupil, with the expected RMS of the errors of phasing, NCPA and their sum.
+    pub(super) fn new(pupil: &Pupil, maps: &StaticMaps, sigma_nm: [f64; 3]) -> Result<Self> {
+        let figure = |map: &Array2<f64>, sigma_nm| Ok(Figure { rms_nm: detrended(pupil, map.view())?.1, sigma_nm });
+        let [phasing, ncpa, wavefront] = sigma_nm;
+        Ok(Self {
+            phasing: figure(&maps.phasing_nm, phasing)?,
+            ncpa: figure(&maps.ncpa_nm, ncpa)?,
+            wavefront: figure(&maps.wavefront_nm(), wavefront)?,
+        })
     }
 }
 
@@ -178,23 +203,24 @@ impl Comparison {
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::Value`] where a map is not one of this pupil.
-    pub fn new(pupil: &Pupil, phasing_nm: &Array2<f64>, ncpa_nm: &Array2<f64>, truth: &TruthMaps) -> Result<Self> {
-        let maps = [
-            ("the estimate's phasing", phasing_nm),
-            ("the estimate's NCPA", ncpa_nm),
-            ("the true phasing", &truth.phasing_nm),
-            ("the true NCPA", &truth.ncpa_nm),
-        ];
-        maps.into_iter().try_for_each(|(name, map)| check_on_pupil(pupil, name, map))?;
-        let (phasing_nm, phasing) = detrended(pupil, (phasing_nm - &truth.phasing_nm).view())?;
-        let (ncpa_nm, ncpa) = detrended(pupil, (ncpa_nm - &truth.ncpa_nm).view())?;
-        let wavefront = pupil.rms((&phasing_nm + &ncpa_nm).view())?;
-        Ok(Self { phasing_nm, ncpa_nm, rms_nm: [phasing, ncpa, wavefront] })
+    pub fn new(pupil: &Pupil, maps: &StaticMaps, truth: &StaticMaps) -> Result<Self> {
+        check_on_pupil(pupil, "the estimate's", maps)?;
+        check_on_pupil(pupil, "the true", truth)?;
+        let (phasing_nm, phasing) = detrended(pupil, (&maps.phasing_nm - &truth.phasing_nm).view())?;
+        let (ncpa_nm, ncpa) = detrended(pupil, (&maps.ncpa_nm - &truth.ncpa_nm).view())?;
+        let maps = StaticMaps { phasing_nm, ncpa_nm };
+        let wavefront = pupil.rms(maps.wavefront_nm().view())?;
+        Ok(Self { maps, rms_nm: [phasing, ncpa, wavefront] })
     }
 }
 
-/// Refuses a map of another grid or of another pupil than `pupil`.
-pub(super) fn check_on_pupil(pupil: &Pupil, name: &str, map: &Array2<f64>) -> Result<()> {
+/// Refuses maps of another grid or of another pupil than `pupil`; `whose` is the beginning of their names.
+pub(super) fn check_on_pupil(pupil: &Pupil, whose: &str, maps: &StaticMaps) -> Result<()> {
+    check_map_on_pupil(pupil, &format!("{whose} phasing"), &maps.phasing_nm)?;
+    check_map_on_pupil(pupil, &format!("{whose} NCPA"), &maps.ncpa_nm)
+}
+
+fn check_map_on_pupil(pupil: &Pupil, name: &str, map: &Array2<f64>) -> Result<()> {
     let (rows, columns) = map.dim();
     let samples = pupil.grid.samples();
     if (rows, columns) != (samples, samples) {
@@ -211,6 +237,23 @@ pub(super) fn check_on_pupil(pupil: &Pupil, name: &str, map: &Array2<f64>) -> Re
         )));
     }
     Ok(())
+}
+
+impl MethodResult {
+    /// The word of the method in scenes, files and JSON.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Modal(_) => Method::Modal.word(),
+            Self::FullPhase(_) => Method::FullPhase.word(),
+        }
+    }
+}
+
+impl MapSummary {
+    /// The last iteration, which is the estimate.
+    pub(crate) fn last(&self) -> Result<&Iteration> {
+        self.iterations.last().ok_or_else(|| Error::Internal("no iteration was made".into()))
+    }
 }
 
 impl OpticalParameter {
@@ -232,24 +275,25 @@ impl OpticalParameter {
 }
 
 impl Estimate {
-    /// Method of the estimate.
-    pub fn method(&self) -> Method {
-        if self.map.is_some() { Method::FullPhase } else { Method::Modal }
+    /// What a modal estimate has; `None` for a MAP estimate.
+    pub fn modal(&self) -> Option<&ModalSummary> {
+        match &self.method {
+            MethodResult::Modal(modal) => Some(modal),
+            MethodResult::FullPhase(_) => None,
+        }
+    }
+
+    /// What a MAP estimate has; `None` for a modal estimate.
+    pub fn full_phase(&self) -> Option<&MapSummary> {
+        match &self.method {
+            MethodResult::Modal(_) => None,
+            MethodResult::FullPhase(map) => Some(map),
+        }
     }
 
     /// Whether there is no warning, and the status is ok.
     pub fn is_sound(&self) -> bool {
         self.warnings.is_empty() && self.status == ImageStatus::Ok
-    }
-
-    /// Standard deviation of each mode, nm.
-    pub fn sigma_nm(&self) -> Vec<f64> {
-        self.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect()
-    }
-
-    /// Phasing and NCPA together, `[y, x]`, nm.
-    pub fn wavefront_nm(&self) -> Array2<f64> {
-        &self.phasing_nm + &self.ncpa_nm
     }
 
     /// Number of modes that move segments; they come first.
@@ -276,8 +320,8 @@ impl Estimate {
     ///
     /// # Errors
     /// [`Error::Shape`] for a truth on another grid.
-    pub fn compare(&self, truth: &TruthMaps) -> Result<Comparison> {
-        Comparison::new(&self.pupil, &self.phasing_nm, &self.ncpa_nm, truth)
+    pub fn compare(&self, truth: &StaticMaps) -> Result<Comparison> {
+        Comparison::new(&self.pupil, &self.maps, truth)
     }
 
     /// Corrections of segments, mirror and reference slopes by the policy of the scene's section `[commands]`, also in the terms of the controllers
@@ -291,17 +335,14 @@ impl Estimate {
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
         let segment_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
-        let mut corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
-            Some(iteration) => iteration.corrections(&self.scene, limit_nm, segment_limit_nm)?,
-            None => {
-                let Some(fitter) = &self.fitter else {
-                    return Err(Error::Internal("a modal estimate has no fitter".into()));
-                };
+        let mut corrections = match &self.method {
+            MethodResult::FullPhase(map) => map.last()?.corrections(&self.scene, limit_nm, segment_limit_nm)?,
+            MethodResult::Modal(modal) => {
                 let modes = ModalErrors {
                     scene: &self.scene,
-                    model: fitter.model(),
-                    coefficients_nm: &self.coefficients_nm,
-                    covariance_nm2: self.covariance_nm2.view(),
+                    model: modal.fitter.model(),
+                    coefficients_nm: &self.modes.coefficients_nm,
+                    covariance_nm2: self.modes.covariance_nm2.view(),
                     segment_limit_nm,
                 };
                 modes.corrections(limit_nm)?
@@ -311,7 +352,7 @@ impl Estimate {
         let said = status.into_iter().chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
         corrections.estimate_warnings = said.collect();
         // In the unit of the slopes that were measured.
-        if let Some(check) = self.map.as_ref().and_then(|map| map.telemetry.as_ref()) {
+        if let Some(check) = self.full_phase().and_then(|map| map.telemetry.as_ref()) {
             corrections.slopes_mas.iter_mut().for_each(|mas| *mas *= check.divided_by);
         }
         Ok(corrections)

@@ -5,14 +5,14 @@ use super::consistency::{Electrons, reconcile};
 use super::cut_out::scene_of_cut_out;
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
-use super::images::{Images, TruthMaps, counted};
+use super::images::{Images, counted};
 use super::parts::PartFits;
 use super::policy::Policy;
 use super::pupil_turns::TurnedImages;
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::{channels, map};
 use crate::control::{Control, Stage};
-use crate::modal::{ModelCache, check_frame_shape};
+use crate::modal::{ModelCache, StaticMaps, check_frame_shape};
 use crate::planner;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};
@@ -211,7 +211,7 @@ pub(super) fn check_size(images: &Images, scene: &Scene) -> Result<()> {
 }
 
 /// Adds the truth and the residual against it, or a warning.
-fn compare_with_truth(estimate: &mut Estimate, truth: Option<&TruthMaps>) {
+fn compare_with_truth(estimate: &mut Estimate, truth: Option<&StaticMaps>) {
     let Some(truth) = truth else { return };
     match estimate.compare(truth) {
         Ok(residual) => estimate.truth = Some((truth.clone(), residual)),

@@ -50,7 +50,9 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
 fn explain_image(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     fitted.changes = image_changes(task.scene, task.images);
     let found = &fitted.fit;
-    let Some(&image) = found.1.used_images.first().filter(|_| fitted.changes.is_none_or(|chi2| chi2 < CHANGING)) else {
+    let Some(&image) =
+        found.1.combined.used_images.first().filter(|_| fitted.changes.is_none_or(|chi2| chi2 < CHANGING))
+    else {
         return Ok(());
     };
     let diversity = found.0.diversity_projection()?;
@@ -70,10 +72,10 @@ fn selected_by_sum(task: &ModalTask, found: &ModalEstimate) -> Result<Option<Sel
     if !model_selection::may_extend(task.scene, task.policy) {
         return Ok(None);
     }
-    let images = task.images.sum(&found.used_images, task.scene.image.read_noise_e);
+    let images = task.images.sum(&found.combined.used_images, task.scene.image.read_noise_e);
     let task = ModalTask { images: &images, ..*task };
     let Some(own) = task.fit_one(task.scene, 0)? else { return Ok(None) };
     let mut one = |scene: &Scene| task.fit_one(scene, 0);
-    let name = format!("the sum of {} images", found.used_images.len());
+    let name = format!("the sum of {} images", found.used());
     model_selection::select(task.scene, task.control, (&own, 0, &name), &mut one)
 }

@@ -5,7 +5,6 @@ use super::{ErrorTerm, ImageOutcome};
 use crate::Result;
 use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
 use crate::modes::SegmentModes;
-use crate::scene::Combine;
 use crate::statics::Iteration;
 use crate::telescope::SegmentPlace;
 use std::path::Path;
@@ -29,34 +28,34 @@ fn write(path: &Path, estimate: &Estimate) -> Result<()> {
     images(&mut file, estimate)?;
     error_budget(&mut file, &estimate.error_budget)?;
     optics(&mut file, &estimate.optics)?;
-    if let Some(map) = &estimate.map {
+    if let Some(map) = estimate.full_phase() {
         iterations(&mut file, map)?;
     }
     if !estimate.warnings.is_empty() {
         file.table("WARNINGS", &[Column::text("SENTENCE", &estimate.warnings)])?;
     }
-    if estimate.image_coefficients_nm.nrows() > 0 {
-        file.image("COEFFICIENTS", &estimate.image_coefficients_nm, Pixel::F64, "nm")?;
+    if let Some(modal) = estimate.modal() {
+        file.image("COEFFICIENTS", &modal.image_coefficients_nm, Pixel::F64, "nm")?;
     }
     file.text("SCENE", estimate.scene.text())?;
     file.finish()
 }
 
 fn cards(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
-    file.card("PRIMARY", "METHOD", estimate.method().word(), "estimator")?;
+    file.card("PRIMARY", "METHOD", estimate.method.word(), "estimator")?;
     file.card("PRIMARY", "POLICY", estimate.policy.name(), "policy of the estimate")?;
-    file.card("PRIMARY", "DEVICE", estimate.device.as_str(), "where the fit ran")?;
-    file.card("PRIMARY", "PRECISIO", estimate.precision.word(), "precision of the imaging chain")?;
+    file.card("PRIMARY", "DEVICE", estimate.run.device.as_str(), "where the fit ran")?;
+    file.card("PRIMARY", "PRECISIO", estimate.run.precision.to_string(), "precision of the imaging chain")?;
     file.card("PRIMARY", "OPTIMIZE", estimate.scene.estimate.optimizer.word(), "optimizer")?;
-    file.card("PRIMARY", "ELAPSED", estimate.seconds, "seconds for the estimate")?;
+    file.card("PRIMARY", "ELAPSED", estimate.run.seconds, "seconds for the estimate")?;
     file.card("PRIMARY", "STATUS", estimate.status.word(), "worst status that counts for the whole")?;
     file.card("PRIMARY", "NIMAGES", estimate.images.len() as i64, "images read")?;
     file.card("PRIMARY", "NUSED", estimate.used() as i64, "images used")?;
     file.card("PRIMARY", "NCLIPPED", estimate.clipped() as i64, "images left out as outliers")?;
-    if let Some(combine) = &estimate.combine {
-        file.card("PRIMARY", "COMBINE", Combine::word(combine), "how images were combined")?;
+    if let Some(modal) = estimate.modal() {
+        file.card("PRIMARY", "COMBINE", modal.combine.word(), "how images were combined")?;
     }
-    if let Some(map) = &estimate.map {
+    if let Some(map) = estimate.full_phase() {
         file.card("PRIMARY", "AO_KNOWL", map.ao_knowledge.word(), "what it assumes of the adaptive optics")?;
         if let Some(check) = &map.telemetry {
             file.card("PRIMARY", "TELGAIN", check.gain, "measured over predicted slopes")?;
@@ -70,11 +69,11 @@ fn maps(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let grid_m = estimate.pupil.grid.width_m();
     let truth = estimate.truth.as_ref().map(|(truth, _)| truth);
     let maps = [
-        ("PHASING", Some(&estimate.phasing_nm)),
-        ("NCPA", Some(&estimate.ncpa_nm)),
-        ("WAVEFRONT", Some(&estimate.wavefront_nm())),
-        ("PHASING_SIGMA", Some(&estimate.phasing_sigma_nm)),
-        ("NCPA_SIGMA", Some(&estimate.ncpa_sigma_nm)),
+        ("PHASING", Some(&estimate.maps.phasing_nm)),
+        ("NCPA", Some(&estimate.maps.ncpa_nm)),
+        ("WAVEFRONT", Some(&estimate.maps.wavefront_nm())),
+        ("PHASING_SIGMA", Some(&estimate.sigma_maps.phasing_nm)),
+        ("NCPA_SIGMA", Some(&estimate.sigma_maps.ncpa_nm)),
         ("TRUTH_PHASING", truth.map(|truth| &truth.phasing_nm)),
         ("TRUTH_NCPA", truth.map(|truth| &truth.ncpa_nm)),
     ];
@@ -88,8 +87,8 @@ fn modes(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let columns = [
         Column::text("NAME", &estimate.basis.names),
         Column::text("GROUP", estimate.basis.groups.iter().map(|group| group.name())),
-        Column::f64("ESTIMATE_NM", "nm", estimate.coefficients_nm.clone()),
-        Column::f64("SIGMA_NM", "nm", estimate.sigma_nm()),
+        Column::f64("ESTIMATE_NM", "nm", estimate.modes.coefficients_nm.clone()),
+        Column::f64("SIGMA_NM", "nm", estimate.modes.sigma_nm()),
     ];
     file.table("MODES", &columns)
 }
@@ -101,13 +100,13 @@ fn segments(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     if places.is_empty() {
         return Ok(());
     }
-    let (sigma_nm, names) = (estimate.sigma_nm(), SegmentModes::Piston.names(places.len()));
+    let (sigma_nm, names) = (estimate.modes.sigma_nm(), SegmentModes::Piston.names(places.len()));
     let mode = |name: &String| estimate.basis.names.iter().position(|known| known == name);
     let piston = |values: &[f64]| -> Vec<f64> {
         names.iter().map(|name| mode(name).map_or(f64::NAN, |mode| values[mode])).collect()
     };
     let mut columns = SegmentPlace::columns(&places);
-    columns.push(Column::f64("PISTON_NM", "nm", piston(&estimate.coefficients_nm)));
+    columns.push(Column::f64("PISTON_NM", "nm", piston(&estimate.modes.coefficients_nm)));
     columns.push(Column::f64("SIGMA_NM", "nm", piston(&sigma_nm)));
     if !estimate.integers.is_empty() {
         let integers = &estimate.integers;

@@ -7,6 +7,7 @@
 
 use super::estimate::check_on_pupil;
 use super::images::counted;
+use crate::modal::StaticMaps;
 use crate::pupil::Pupil;
 use crate::telescope::{OpdMap, Telescope};
 use crate::{Error, Result};
@@ -118,20 +119,14 @@ impl ForeignTruth {
         Ok([phasing, ncpa, wavefront])
     }
 
-    /// Compares the maps `phasing_nm` and `ncpa_nm` of an estimate on the grid of `telescope` with the truth.
+    /// Compares the `maps` of an estimate on the grid of `telescope` with the truth.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::Value`] for maps, pistons or cards of another number of samples or segments; [`Error::Value`] where
     /// the samples that can be compared have less than 30 % of the light, and for a map that has no value at more than 5 % of it.
-    pub fn compare(
-        &self,
-        telescope: &Telescope,
-        phasing_nm: &Array2<f64>,
-        ncpa_nm: &Array2<f64>,
-    ) -> Result<ForeignComparison> {
+    pub fn compare(&self, telescope: &Telescope, maps: &StaticMaps) -> Result<ForeignComparison> {
         let pupil = &telescope.pupil;
-        check_on_pupil(pupil, "the estimate's phasing", phasing_nm)?;
-        check_on_pupil(pupil, "the estimate's NCPA", ncpa_nm)?;
+        check_on_pupil(pupil, "the estimate's", maps)?;
         let [phasing, ncpa, wavefront] = self.parts(pupil)?;
         let parts = || [&phasing, &ncpa, &wavefront].into_iter().flatten();
         let mut inner = pupil.clone();
@@ -165,11 +160,10 @@ impl ForeignTruth {
             off_nm.zip_mut_with(&inner.amplitude, |nm, amplitude| *nm = if *amplitude > 0.0 { *nm } else { f64::NAN });
             inner.remove_piston_tip_tilt(off_nm.view()).map(Some)
         };
-        let whole_nm = phasing_nm + ncpa_nm;
-        let (phasing, ncpa) = (residual_nm(phasing_nm, &phasing)?, residual_nm(ncpa_nm, &ncpa)?);
+        let (phasing, ncpa) = (residual_nm(&maps.phasing_nm, &phasing)?, residual_nm(&maps.ncpa_nm, &ncpa)?);
         let sum = phasing.as_ref().zip(ncpa.as_ref()).map(|(phasing, ncpa)| phasing + ncpa);
         let whole = match sum {
-            None => residual_nm(&whole_nm, &wavefront)?,
+            None => residual_nm(&maps.wavefront_nm(), &wavefront)?,
             sum => sum,
         };
         let rms = |map: Option<Array2<f64>>| map.map(|map| inner.rms(map.view())).transpose();

@@ -264,8 +264,8 @@ impl FrameEstimate {
             }),
         };
         Ok(Self {
-            coefficients_nm: places.iter().map(|&mode| estimate.coefficients_nm[mode]).collect(),
-            covariance_nm2: estimate.covariance_nm2.select(Axis(0), &places).select(Axis(1), &places),
+            coefficients_nm: places.iter().map(|&mode| estimate.modes.coefficients_nm[mode]).collect(),
+            covariance_nm2: estimate.modes.covariance_nm2.select(Axis(0), &places).select(Axis(1), &places),
             reduced_chi2: estimate.reduced_chi2,
             flux_e: estimate.images.iter().find(|image| image.is_used).map_or(f64::NAN, |image| image.flux_e),
             background_e: estimate
@@ -277,7 +277,7 @@ impl FrameEstimate {
             status: estimate.status,
             refusal,
             warnings: estimate.warnings.clone(),
-            compared: estimate.compared.first().cloned(),
+            compared: estimate.modal().and_then(|modal| modal.compared.first()).cloned(),
         })
     }
 }

@@ -4,6 +4,7 @@ use super::scene_files::refuse_foreign_files;
 use crate::ao::{AOT_SCENE, MOVED_REFERENCE};
 use crate::io::aot::MatchedSlopes;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
+use crate::modal::StaticMaps;
 use crate::scene::Scene;
 use crate::source::{self, SourceImages};
 use crate::{Error, Result};
@@ -27,7 +28,7 @@ pub struct Images {
     /// scene's `wavefront_sensor.moved_reference_file` says.
     pub moved_reference_mas: Option<Array1<f64>>,
     /// Aberrations that simulated images were made with.
-    pub truth: Option<TruthMaps>,
+    pub truth: Option<StaticMaps>,
     /// Unit of the pixels: those of an array without a unit are electrons, unless the scene has `image.gain_e_per_adu`.
     pub unit: PixelUnit,
     /// What the cards of the file state of the instrument. An estimate compares it with the scene.
@@ -56,15 +57,6 @@ pub enum Trust {
     Scene,
     /// The file's: it replaces the value of the key.
     File,
-}
-
-/// Aberrations behind simulated images: maps `[y, x]`, nm, NaN outside the pupil.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TruthMaps {
-    /// Segment errors.
-    pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations.
-    pub ncpa_nm: Array2<f64>,
 }
 
 /// Note on pixels that are not finite and were not marked as bad.
@@ -153,7 +145,7 @@ impl Images {
         let path = path.as_ref();
         // A scene of another version, with other keys, cannot be compared.
         let scene = embedded_scene(path, |_| true).ok().flatten();
-        let truth = TruthMaps::read(path)?;
+        let truth = StaticMaps::read_truth(path)?;
         let mut file = FitsReader::open(path)?;
         let moved = moved_reference(&mut file)?;
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
@@ -308,7 +300,7 @@ impl AsRef<[Images]> for Images {
 
 impl From<SourceImages> for Images {
     fn from(made: SourceImages) -> Self {
-        let truth = TruthMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
+        let truth = StaticMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
         Self { truth: Some(truth), ..Self::new(made.images_e).in_electrons() }
     }
 }
@@ -322,12 +314,12 @@ fn own_scene(scene: &Scene, name: Option<&str>) -> Option<Scene> {
     }
 }
 
-impl TruthMaps {
-    /// The truth in the FITS file `path`; `None` where it holds none.
+impl StaticMaps {
+    /// The aberrations behind simulated images, in the FITS file `path`; `None` where it holds none.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be read.
-    pub fn read(path: &Path) -> Result<Option<Self>> {
+    pub fn read_truth(path: &Path) -> Result<Option<Self>> {
         let mut file = FitsReader::open(path)?;
         if !["TRUTH_PHASING", "TRUTH_NCPA"].iter().all(|name| file.has(name)) {
             return Ok(None);

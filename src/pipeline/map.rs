@@ -3,7 +3,7 @@
 
 use super::budget::ErrorTerm;
 use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
-use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
+use super::estimate::{Basis, Estimate, Figures, MapSummary, MethodResult, OpticalParameter, Run};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::sequence::{self, SequenceResult};
@@ -147,25 +147,18 @@ pub(super) fn estimate(
     }
     remarks.extend(unit_remark(&found.scene)?);
     let pupil = found.pupil.clone();
-    let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
+    let [phasing_nm, ncpa_nm] = last.error_budget.total_nm;
     Ok(Estimate {
         policy: *policy,
         channels: names(&with),
         integers: found.integers.clone(),
         basis: basis(last),
-        coefficients_nm: last.coefficients_nm(),
-        covariance_nm2: last.errors.covariance_nm2.clone(),
-        phasing: Figure::from_map(&pupil, last.phasing_nm.view(), last.error_budget.total_nm[0])?,
-        ncpa: Figure::from_map(&pupil, last.ncpa_nm.view(), last.error_budget.total_nm[1])?,
-        wavefront: Figure::from_map(&pupil, wavefront_nm.view(), f64::NAN)?,
-        phasing_nm: last.phasing_nm.clone(),
-        ncpa_nm: last.ncpa_nm.clone(),
-        phasing_sigma_nm: last.phasing_sigma_nm.clone(),
-        ncpa_sigma_nm: last.ncpa_sigma_nm.clone(),
+        modes: last.modes(),
+        figures: Figures::new(&pupil, &last.maps, [phasing_nm, ncpa_nm, f64::NAN])?,
+        maps: last.maps.clone(),
+        sigma_maps: last.sigma_maps.clone(),
         error_budget: error_budget(last),
         images: outcomes,
-        image_coefficients_nm: Array2::zeros((0, last.coefficients_nm().len())),
-        combine: None,
         reduced_chi2: last.reduced_chi2,
         is_sequence: true,
         status: if is_misfit { ImageStatus::Misfit } else { ImageStatus::Ok },
@@ -174,15 +167,9 @@ pub(super) fn estimate(
         warnings: sentences,
         remarks,
         pupil,
-        device: found.device,
-        precision: scene.estimate.precision(),
-        seconds,
-        model_seconds: 0.0,
-        compared: Vec::new(),
-        degeneracy: None,
+        run: Run { device: found.device, precision: scene.estimate.precision().into(), seconds, model_seconds: 0.0 },
         truth: None,
-        fitter: None,
-        map: Some(MapSummary {
+        method: MethodResult::FullPhase(MapSummary {
             ao_knowledge: found.ao_knowledge,
             telemetry: found.telemetry,
             iterations: found.iterations,

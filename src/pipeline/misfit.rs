@@ -147,7 +147,7 @@ impl Case<'_> {
         let map_nm = model.map_nm(diversity.coefficients_nm.as_slice().unwrap_or_default(), Group::Ncpa);
         let (mut product, mut square) = (0.0, 0.0);
         for ((ncpa_nm, diversity_nm), amplitude) in
-            found.ncpa_nm.iter().zip(&map_nm).zip(&model.telescope.pupil.amplitude)
+            found.combined.maps.ncpa_nm.iter().zip(&map_nm).zip(&model.telescope.pupil.amplitude)
         {
             // NaN outside the pupil.
             if diversity_nm.is_finite() {

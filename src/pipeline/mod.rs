@@ -50,15 +50,17 @@ mod warnings;
 
 pub use crate::control::{Control, Progress, Stage};
 pub use crate::loop_response::{Command, Commands, Corrections, ModeCorrection, SentCorrections};
-pub use crate::modal::{ImageStatus, PistonInteger};
+pub use crate::modal::{CombinedModes, ImageStatus, PistonInteger, StaticMaps};
 pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
-pub use estimate::{Basis, Comparison, Estimate, Figure, MapSummary, OpticalParameter};
+pub use estimate::{
+    Basis, Comparison, Estimate, Figure, Figures, MapSummary, MethodResult, ModalSummary, OpticalParameter, Run,
+};
 pub use estimator::Estimator;
 pub use foreign_truth::{ForeignComparison, ForeignTruth};
 pub use frame_estimator::{FrameEstimate, FrameEstimator};
-pub use images::{Images, Trust, TruthMaps, embedded_scene};
+pub use images::{Images, Trust, embedded_scene};
 pub use observation::{Observation, ObservationPlan, plan_observation};
 pub use orientation::{MovedPart, Orientation, OrientationCandidate, Poke, PokeResult, check_orientation};
 pub use outcome::ImageOutcome;

@@ -1,14 +1,14 @@
 //! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and remarks.
 
 use super::budget::ErrorTerm;
-use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
+use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::{remarks, warnings};
 use crate::Result;
 use crate::metrics::MapGram;
-use crate::modal::{self, FittedOptic, Model};
+use crate::modal::{self, Combination, FittedOptic, Model};
 use crate::modes::Group;
 use crate::scene::NollRange;
 use crate::telescope::unit_remark;
@@ -22,9 +22,8 @@ impl Fitted {
         let model = fitter.model();
         let diversity = fitter.diversity_projection()?;
         let errors = ExpectedErrors::new(model)?;
-        let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
         let pupil = model.telescope.pupil.clone();
-        let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
+        let sigma_nm = errors.rms_nm(&found.combined.modes.covariance_nm2)?;
         let remarks = [
             selected.as_ref().map(|selected| selected.remark.clone()),
             remarks::diversity_remark(&diversity, &scene),
@@ -32,46 +31,39 @@ impl Fitted {
             remarks::orientation_remark(&scene, &model.telescope)?,
             unit_remark(&scene)?,
         ];
+        let Combination { used_images, clipped_images, .. } = &found.combined;
         let outcomes = found.images.iter().enumerate().map(|(image, report)| {
-            let is_in = |list: &[usize]| list.contains(&image);
-            ImageOutcome::from_modal(report, is_in(&found.used_images), is_in(&found.clipped_images))
+            ImageOutcome::from_modal(report, used_images.contains(&image), clipped_images.contains(&image))
         });
         Ok(Estimate {
             policy: *policy,
             basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
-            phasing: Figure::from_map(&pupil, found.phasing_nm.view(), sigma_nm[0])?,
-            ncpa: Figure::from_map(&pupil, found.ncpa_nm.view(), sigma_nm[1])?,
-            wavefront: Figure::from_map(&pupil, wavefront_nm.view(), sigma_nm[2])?,
+            figures: Figures::new(&pupil, &found.combined.maps, sigma_nm)?,
             error_budget: error_budget(&errors, &fitter, &found)?,
             images: outcomes.collect(),
-            combine: Some(found.combine),
+            channels: Vec::new(),
+            status: found.status().kind(),
             reduced_chi2: found.reduced_chi2(),
             is_sequence: found.is_sequence(),
-            status: found.status().kind(),
             model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),
             optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
+            integers: Vec::new(),
             warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
             remarks: remarks.into_iter().flatten().collect(),
             scene,
             pupil,
-            precision: fitter.scene().estimate.precision(),
-            model_seconds,
-            seconds: found.seconds,
-            device: found.device,
-            coefficients_nm: found.combined.coefficients_nm,
-            covariance_nm2: found.combined.covariance_nm2,
-            phasing_nm: found.phasing_nm,
-            ncpa_nm: found.ncpa_nm,
-            phasing_sigma_nm: found.phasing_sigma_nm,
-            ncpa_sigma_nm: found.ncpa_sigma_nm,
-            image_coefficients_nm: found.image_coefficients_nm,
-            compared: vec![found.compared],
-            degeneracy: Some(found.degeneracy),
+            run: Run { device: found.device, precision: found.precision, seconds: found.seconds, model_seconds },
+            modes: found.combined.modes,
+            maps: found.combined.maps,
+            sigma_maps: found.combined.sigma_maps,
             truth: None,
-            fitter: Some(Arc::new(fitter)),
-            map: None,
-            channels: Vec::new(),
-            integers: Vec::new(),
+            method: MethodResult::Modal(ModalSummary {
+                combine: found.combine,
+                image_coefficients_nm: found.image_coefficients_nm,
+                compared: vec![found.compared],
+                degeneracy: found.degeneracy,
+                fitter: Arc::new(fitter),
+            }),
         })
     }
 }
@@ -137,5 +129,5 @@ fn error_budget(
         let [phasing_nm, ncpa_nm, _] = errors.rms_nm(covariance_nm2)?;
         Ok(ErrorTerm { name: name.into(), phasing_nm, ncpa_nm })
     };
-    std::iter::once((averaged, &found.averaged_covariance_nm2)).chain(shared).map(term).collect()
+    std::iter::once((averaged, &found.combined.averaged_covariance_nm2)).chain(shared).map(term).collect()
 }

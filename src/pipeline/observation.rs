@@ -242,7 +242,7 @@ fn flaw(found: &Estimate) -> Option<String> {
         return Some(format!("the status is {}", found.status.word()));
     }
     let (_, residual) = found.truth.as_ref()?;
-    let bars_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+    let bars_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
     let is_beyond = (0..2).any(|part| residual.rms_nm[part] > BEYOND * bars_nm[part]);
     is_beyond.then(|| "the residual is beyond three error bars".into())
 }

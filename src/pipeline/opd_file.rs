@@ -16,7 +16,7 @@ impl Estimate {
     /// [`Error::File`](crate::Error::File) where the file cannot be written.
     pub fn write_opd(&self, path: impl AsRef<Path>) -> Result<()> {
         let grid = &self.pupil.grid;
-        let opd_m = self.wavefront_nm().mapv(|nm| if nm.is_finite() { nm * 1e-9 } else { 0.0 });
+        let opd_m = self.maps.wavefront_nm().mapv(|nm| if nm.is_finite() { nm * 1e-9 } else { 0.0 });
         let mut file = FitsWriter::create(path)?;
         file.map("OPD", &opd_m, "m", grid.width_m())?;
         file.image("AMPLITUDE", &self.pupil.amplitude, Pixel::F64, "")?;

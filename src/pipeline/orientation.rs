@@ -101,8 +101,8 @@ pub fn check_orientation(
     }
     let pupil = &telescope.pupil;
     let difference_nm = match &found.1 {
-        Some(before) => found.0.wavefront_nm() - before.wavefront_nm(),
-        None => found.0.wavefront_nm(),
+        Some(before) => found.0.maps.wavefront_nm() - before.maps.wavefront_nm(),
+        None => found.0.maps.wavefront_nm(),
     };
     let difference_nm = pupil.remove_piston_tip_tilt(difference_nm.view())?;
     let modes = found.0.basis.names.len();

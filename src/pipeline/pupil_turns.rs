@@ -1,6 +1,6 @@
 //! Pupils that turn on the detector: images with one turn are those of a channel, by whose model the pupil is turned.
 
-use super::estimate::Estimate;
+use super::estimate::{Estimate, MethodResult, ModalSummary};
 use super::images::{Images, Trust, counted};
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -85,7 +85,7 @@ impl TurnedImages {
     }
 
     /// `estimate` of these images as one of the images in the order in which they were given.
-    pub(super) fn in_given_order(self, estimate: Estimate) -> Estimate {
+    pub(super) fn in_given_order(self, mut estimate: Estimate) -> Estimate {
         let mut places: Vec<usize> = (0..self.order.len()).collect();
         places.sort_by_key(|&place| self.order[place]);
         // Images that no channel has, such as those of one that was left out, keep their places.
@@ -95,11 +95,13 @@ impl TurnedImages {
         } else {
             estimate.images
         };
-        let rows = &estimate.image_coefficients_nm;
-        let image_coefficients_nm =
-            if rows.nrows() == places.len() { rows.select(Axis(0), &places) } else { rows.clone() };
+        if let MethodResult::Modal(ModalSummary { image_coefficients_nm: rows, .. }) = &mut estimate.method
+            && rows.nrows() == places.len()
+        {
+            *rows = rows.select(Axis(0), &places);
+        }
         let remarks = self.remarks.into_iter().chain(estimate.remarks).collect();
-        Estimate { images, image_coefficients_nm, remarks, scene: self.given, ..estimate }
+        Estimate { images, remarks, scene: self.given, ..estimate }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Report: an estimate as text.
 
-use super::estimate::{Estimate, Figure, MapSummary, OpticalParameter};
+use super::estimate::{Estimate, Figure, Figures, MapSummary, OpticalParameter, Run};
 use super::images::counted;
 use super::telemetry::TelemetryCheck;
 use crate::modal::{ImageStatus, RejectedPixels};
@@ -52,7 +52,7 @@ fn combination(estimate: &Estimate) -> String {
         let (channels, names) = (counted(estimate.channels.len(), "channel"), estimate.channels.join(", "));
         return format!("{used} of {all} in {channels} ({names})");
     }
-    let how = match estimate.combine {
+    let how = match estimate.modal().map(|modal| modal.combine) {
         Some(Combine::Median) if count > 1 => "median of ",
         Some(Combine::ClippedMean) if count > 1 && estimate.is_sequence => "clipped mean of ",
         Some(_) if count > 1 => "mean of ",
@@ -67,7 +67,7 @@ fn combination(estimate: &Estimate) -> String {
 fn modes(estimate: &Estimate) -> String {
     let (modes, segments) = (estimate.basis.names.len(), estimate.segment_modes());
     let own = format!("{modes} modes ({segments} of the segments, {} of the NCPA)", modes - segments);
-    match &estimate.map {
+    match estimate.full_phase() {
         None => own,
         Some(map) => {
             let iterations = counted(map.iterations.len(), "iteration");
@@ -80,7 +80,8 @@ fn table(estimate: &Estimate) -> String {
     let residuals_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
     let head = if residuals_nm.is_some() { "   residual [nm]" } else { "" };
     let mut text = format!("{:<12}{:>10}{:>12}{head}\n", "", "RMS [nm]", "1σ [nm]");
-    let rows = [("phasing", estimate.phasing), ("NCPA", estimate.ncpa), ("wavefront", estimate.wavefront)];
+    let Figures { phasing, ncpa, wavefront } = estimate.figures;
+    let rows = [("phasing", phasing), ("NCPA", ncpa), ("wavefront", wavefront)];
     for (i, (name, Figure { rms_nm, sigma_nm })) in rows.into_iter().enumerate() {
         let sigma = if sigma_nm.is_nan() { "-".into() } else { format!("{sigma_nm:.3}") };
         let residual = residuals_nm.map(|nm| format!("{:>16.3}", nm[i])).unwrap_or_default();
@@ -97,7 +98,8 @@ const NOTABLE_CHI2: f64 = 1.1;
 fn quality(estimate: &Estimate) -> String {
     let pixels = |what: &dyn Fn(&super::ImageOutcome) -> usize| estimate.images.iter().map(what).sum::<usize>();
     let mut text = format!("Reduced χ² {:.3}", estimate.reduced_chi2);
-    if estimate.map.is_some() && estimate.status == ImageStatus::Ok && estimate.reduced_chi2 > NOTABLE_CHI2 {
+    let is_notable = estimate.status == ImageStatus::Ok && estimate.reduced_chi2 > NOTABLE_CHI2;
+    if is_notable && estimate.full_phase().is_some() {
         text += " (above 1 by turbulence that is too fine or too fast to be retrieved; a misfit would be a warning)";
     }
     let masked = pixels(&|image| image.bad_pixels);
@@ -113,12 +115,11 @@ fn quality(estimate: &Estimate) -> String {
 
 /// Evaluations, time, device.
 fn effort(estimate: &Estimate) -> String {
-    let (seconds, device, precision) = (estimate.seconds, &estimate.device, estimate.precision.word());
-    match &estimate.map {
+    let Run { device, precision, seconds, model_seconds } = &estimate.run;
+    match estimate.full_phase() {
         None => format!(
-            "{} in {seconds:.2} s on {device} in {precision}; the model took {:.2} s. Policy {}, {}.\n",
+            "{} in {seconds:.2} s on {device} in {precision}; the model took {model_seconds:.2} s. Policy {}, {}.\n",
             counted(estimate.evaluations(), "evaluation"),
-            estimate.model_seconds,
             estimate.policy.name(),
             estimate.model,
         ),

@@ -139,7 +139,7 @@ fn image_warnings(found: &modal::ModalEstimate, changes: Option<f64>) -> Vec<Str
             found.images.iter().enumerate().filter(|(_, image)| image.status.word() == word).collect();
         for (index, image) in concerned.iter().take(NAMED_IMAGES) {
             let which = if count > 1 { format!("image {} of {count}: ", index + 1) } else { String::new() };
-            let sentence = image_warning(image, found.used_images.contains(index));
+            let sentence = image_warning(image, found.combined.used_images.contains(index));
             sentences.extend(sentence.map(|sentence| which + &sentence));
         }
         if concerned.len() > NAMED_IMAGES {

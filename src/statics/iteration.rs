@@ -6,7 +6,7 @@ use super::segment_tilts::SegmentTilts;
 use super::static_errors::StaticErrors;
 use crate::Result;
 use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
-use crate::modal::{DiversityProjection, check_reachable};
+use crate::modal::{CombinedModes, DiversityProjection, StaticMaps, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::System;
 use crate::telescope::Telescope;
@@ -21,14 +21,10 @@ pub struct Iteration {
     pub family: NcpaFamily,
     /// Names of the NCPA's modes.
     pub ncpa_names: Vec<String>,
-    /// Segment errors, `[y, x]` on the scene's grid, nm, NaN outside the pupil.
-    pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations, `[y, x]` on the scene's grid, nm, NaN outside the pupil.
-    pub ncpa_nm: Array2<f64>,
-    /// Error bar of `phasing_nm`, 1σ, nm.
-    pub phasing_sigma_nm: Array2<f64>,
-    /// Error bar of `ncpa_nm`, 1σ, nm.
-    pub ncpa_sigma_nm: Array2<f64>,
+    /// Segment errors and NCPA on the scene's grid.
+    pub maps: StaticMaps,
+    /// Error bars of the maps.
+    pub sigma_maps: StaticMaps,
     /// Expected residuals of both, with their terms.
     pub error_budget: ErrorBudget,
     /// RMS change of phasing and NCPA from the static wavefront about which the wavefronts were retrieved, nm; NaN in the first
@@ -64,14 +60,10 @@ impl Iteration {
         !self.errors.tilts_nm.is_empty()
     }
 
-    /// Coefficients of the static modes, nm.
-    pub fn coefficients_nm(&self) -> Vec<f64> {
-        self.errors.coefficients_nm().to_vec()
-    }
-
-    /// Error bars of the coefficients, 1σ, nm.
-    pub fn sigma_nm(&self) -> Vec<f64> {
-        self.errors.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect()
+    /// The static modes, with their covariance.
+    pub fn modes(&self) -> CombinedModes {
+        let coefficients_nm = self.errors.coefficients_nm().to_vec();
+        CombinedModes { coefficients_nm, covariance_nm2: self.errors.covariance_nm2.clone() }
     }
 
     /// Computes the number of further images like these after which the expected residuals are `wanted_nm`, phasing and NCPA: the
@@ -106,7 +98,7 @@ impl Iteration {
             has_uncertain_plane: true,
             segment_limit_nm,
             ncpa_nm: &self.errors.ncpa_nm,
-            ncpa_sigma_nm: &self.sigma_nm()[segments..],
+            ncpa_sigma_nm: &self.modes().sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
             has_ncpa_corrector: scene.has_mirror(),
             reference_mas_per_nm: self.reference_mas_per_nm.as_ref(),
@@ -117,7 +109,7 @@ impl Iteration {
     /// Adds NCPA of `rms_nm` beyond the modes to the error bars, evenly over the pupil.
     pub(super) fn add_beyond_modes(&mut self, rms_nm: f64) {
         self.error_budget.add_beyond_modes(rms_nm);
-        self.ncpa_sigma_nm.mapv_inplace(|nm| nm.hypot(rms_nm));
+        self.sigma_maps.ncpa_nm.mapv_inplace(|nm| nm.hypot(rms_nm));
     }
 
     /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the part of their error bars that iterations change:

@@ -8,7 +8,7 @@ use super::static_errors::StaticErrors;
 use crate::Result;
 use crate::linear_algebra::{SpdInverse, combination, row_products};
 use crate::metrics::MapGram;
-use crate::modal::{DiversityProjection, GlobalMotions, ModeProjector};
+use crate::modal::{DiversityProjection, GlobalMotions, ModeProjector, StaticMaps};
 use crate::modes::{Basis, SegmentModes, SmoothBasis};
 use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
@@ -139,7 +139,8 @@ impl StaticModes {
     ) -> Result<Iteration> {
         let coefficients = errors.coefficients_nm();
         let ranges = [0..self.segments, self.segments..coefficients.len()];
-        let [phasing_nm, ncpa_nm] = [0, 1].map(|i| self.map(&coefficients, ranges[i].clone(), pupil));
+        let map_nm = |i: usize| self.map(&coefficients, ranges[i].clone(), pupil);
+        let maps = StaticMaps { phasing_nm: map_nm(0), ncpa_nm: map_nm(1) };
         let error_budget = self.add_common_errors(&mut errors, &coefficients, uncompensated_nm)?;
         let sigma_nm = |i: usize| {
             let variance_nm2 = self.maps.variance(&errors.covariance_nm2, ranges[i].clone());
@@ -150,7 +151,7 @@ impl StaticModes {
             Some(input) => {
                 let change = |i: usize| {
                     let before_nm = self.map(&input, ranges[i].clone(), pupil);
-                    crate::metrics::residual_nm(pupil, [&phasing_nm, &ncpa_nm][i].view(), before_nm.view())
+                    crate::metrics::residual_nm(pupil, [&maps.phasing_nm, &maps.ncpa_nm][i].view(), before_nm.view())
                 };
                 [change(0)?, change(1)?]
             }
@@ -158,8 +159,8 @@ impl StaticModes {
         Ok(Iteration {
             family: self.family,
             ncpa_names: self.basis.names().to_vec(),
-            phasing_sigma_nm: sigma_nm(0),
-            ncpa_sigma_nm: sigma_nm(1),
+            sigma_maps: StaticMaps { phasing_nm: sigma_nm(0), ncpa_nm: sigma_nm(1) },
+            maps,
             error_budget,
             change_nm,
             diversity: self.diversity.clone(),
@@ -168,8 +169,6 @@ impl StaticModes {
             residual_rms_nm,
             segment_tilts: None,
             reference_mas_per_nm: None,
-            phasing_nm,
-            ncpa_nm,
             errors,
         })
     }

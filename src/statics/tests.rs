@@ -179,8 +179,8 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
     let truth = simulator.truth();
     let residuals_nm = |iteration: &Iteration| {
         [
-            residual_nm(pupil, iteration.phasing_nm.view(), truth.phasing_nm.view()).unwrap(),
-            residual_nm(pupil, iteration.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
+            residual_nm(pupil, iteration.maps.phasing_nm.view(), truth.phasing_nm.view()).unwrap(),
+            residual_nm(pupil, iteration.maps.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
         ]
     };
     let iterations = [AoKnowledge::Spectrum, AoKnowledge::Loop, AoKnowledge::Telemetry].map(find);
@@ -234,7 +234,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     let known = simulator.scene();
     let (sure, mut unsure) =
         (find(known), find(&known.with(|sections| sections.estimate.diversity_error = 0.1).unwrap()));
-    assert_eq!(sure.coefficients_nm(), unsure.coefficients_nm());
+    assert_eq!(sure.modes().coefficients_nm, unsure.modes().coefficients_nm);
     let (known_nm, total_nm) = (sure.error_budget.total_nm, unsure.error_budget.total_nm);
     assert_eq!((sure.error_budget.averaged_nm(), unsure.error_budget.averaged_nm()), (known_nm, known_nm));
     assert_terms_add_up(&unsure);
@@ -251,8 +251,8 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     // 7 segments and their neighbourhood on 60 samples: the diversity of the map, but for the part that modes do not represent.
     let diversity = crate::telescope::Diversity::new(known, simulator.telescope()).unwrap();
     let grid = simulator.telescope().pupil.grid;
-    for ((y, x), sigma_nm) in unsure.ncpa_sigma_nm.indexed_iter().filter(|(_, nm)| nm.is_finite()) {
-        let more_nm = (sigma_nm.powi(2) - sure.ncpa_sigma_nm[[y, x]].powi(2)).sqrt();
+    for ((y, x), sigma_nm) in unsure.sigma_maps.ncpa_nm.indexed_iter().filter(|(_, nm)| nm.is_finite()) {
+        let more_nm = (sigma_nm.powi(2) - sure.sigma_maps.ncpa_nm[[y, x]].powi(2)).sqrt();
         let shown_nm = fraction * diversity.at(grid.coordinate_m(x), grid.coordinate_m(y)).abs();
         assert!((more_nm - shown_nm).abs() < 0.01 * fraction * rms_nm, "{more_nm} {shown_nm}");
     }
@@ -277,7 +277,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     assert_eq!(beyond.error_budget.averaged_nm(), known_nm);
     assert_eq!(beyond.error_budget.total_nm, [known_nm[0], known_nm[1].hypot(50.0)]);
     assert_terms_add_up(&beyond);
-    for (wider_nm, sigma_nm) in beyond.ncpa_sigma_nm.iter().zip(&sure.ncpa_sigma_nm) {
+    for (wider_nm, sigma_nm) in beyond.sigma_maps.ncpa_nm.iter().zip(&sure.sigma_maps.ncpa_nm) {
         assert!(wider_nm.is_nan() && sigma_nm.is_nan() || *wider_nm == sigma_nm.hypot(50.0));
     }
     assert!(beyond.further_images([f64::INFINITY, 49.0]).is_err());

@@ -20,8 +20,8 @@ fn images(scene: &Scene) -> Images {
 
 /// Lines that a program prints of `estimate`, its numbers as bits; see `pipeline.c`.
 fn expected(estimate: &Estimate) -> Vec<String> {
-    let sigma_nm = estimate.sigma_nm();
-    let coefficients = estimate.basis.names.iter().zip(&estimate.coefficients_nm).zip(&sigma_nm);
+    let sigma_nm = estimate.modes.sigma_nm();
+    let coefficients = estimate.basis.names.iter().zip(&estimate.modes.coefficients_nm).zip(&sigma_nm);
     let mut lines: Vec<String> =
         coefficients.map(|((name, nm), sigma)| format!("coefficient {name} {} {}", bits(*nm), bits(*sigma))).collect();
     for (index, image) in estimate.images.iter().enumerate() {
@@ -35,7 +35,7 @@ fn expected(estimate: &Estimate) -> Vec<String> {
         integers.map(|one| format!("integer {} {} {}", one.integer, bits(one.probability), bits(one.runner_up_nm))),
     );
     lines.extend(estimate.warnings.iter().map(|warning| format!("warning {warning}")));
-    lines.extend([format!("policy {}", estimate.policy.name()), format!("device {}", estimate.device)]);
+    lines.extend([format!("policy {}", estimate.policy.name()), format!("device {}", estimate.run.device)]);
     lines
 }
 
@@ -79,7 +79,7 @@ fn exposures_of_two_channels(command: Command) {
     });
     let images: Vec<Images> = images.collect();
     let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
-    assert_eq!(found.map.as_ref().unwrap().ao_knowledge, AoKnowledge::Telemetry);
+    assert_eq!(found.full_phase().unwrap().ao_knowledge, AoKnowledge::Telemetry);
     let cube = concatenate(Axis(0), &images.iter().map(|one| one.images_e.view()).collect::<Vec<_>>()).unwrap();
     let slopes: Vec<_> = images.iter().filter_map(|one| one.slopes_mas.as_ref()).map(|one| one.view()).collect();
     let slopes_mas = concatenate(Axis(0), &slopes).unwrap();

@@ -47,17 +47,17 @@ pub(super) fn is_that_of_rust(dump: &Path) {
 
     let modes = found.basis.names.len();
     let coefficients_nm = next(modes);
-    same("coefficients", &coefficients_nm, &found.coefficients_nm);
+    same("coefficients", &coefficients_nm, &found.modes.coefficients_nm);
     // Rounded otherwise a retrieval stops somewhere else, within a fraction of what its noise leaves.
-    let pairs = coefficients_nm.iter().zip(&found.coefficients_nm).zip(found.sigma_nm());
+    let pairs = coefficients_nm.iter().zip(&found.modes.coefficients_nm).zip(found.modes.sigma_nm());
     assert!(pairs.into_iter().all(|((dumped, here), sigma)| (dumped - here).abs() < sigma));
-    same("error bars", &next(modes), &found.sigma_nm());
-    same("covariance", &next(modes * modes), &found.covariance_nm2.iter().copied().collect::<Vec<_>>());
+    same("error bars", &next(modes), &found.modes.sigma_nm());
+    same("covariance", &next(modes * modes), &found.modes.covariance_nm2.iter().copied().collect::<Vec<_>>());
     for (what, map) in [
-        ("phasing", &found.phasing_nm),
-        ("NCPA", &found.ncpa_nm),
-        ("error bars of phasing", &found.phasing_sigma_nm),
-        ("error bars of NCPA", &found.ncpa_sigma_nm),
+        ("phasing", &found.maps.phasing_nm),
+        ("NCPA", &found.maps.ncpa_nm),
+        ("error bars of phasing", &found.sigma_maps.phasing_nm),
+        ("error bars of NCPA", &found.sigma_maps.ncpa_nm),
     ] {
         same(what, &next(map.len()), &map.iter().copied().collect::<Vec<_>>());
     }

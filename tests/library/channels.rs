@@ -29,7 +29,7 @@ fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
 /// Whether the residuals are within three error bars: those of 7 pistons and some ten Zernikes exceed them once in 1,000 draws.
 pub(crate) fn is_right(found: &Estimate) -> bool {
     let residual = &found.truth.as_ref().unwrap().1;
-    residual.rms_nm[0] < 3.0 * found.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.ncpa.sigma_nm
+    residual.rms_nm[0] < 3.0 * found.figures.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.figures.ncpa.sigma_nm
 }
 
 #[test]
@@ -48,16 +48,21 @@ fn a_pair_is_better_than_either_image_and_needs_no_order() {
     for (images, channel) in images.iter().zip(scene.channels()) {
         let one = Estimator::new(&channel.scene).unwrap().estimate(images).unwrap();
         assert!(
-            both.phasing.sigma_nm < 0.8 * one.phasing.sigma_nm,
+            both.figures.phasing.sigma_nm < 0.8 * one.figures.phasing.sigma_nm,
             "{} {}",
-            both.phasing.sigma_nm,
-            one.phasing.sigma_nm
+            both.figures.phasing.sigma_nm,
+            one.figures.phasing.sigma_nm
         );
-        assert!(both.ncpa.sigma_nm < 0.8 * one.ncpa.sigma_nm, "{} {}", both.ncpa.sigma_nm, one.ncpa.sigma_nm);
+        assert!(
+            both.figures.ncpa.sigma_nm < 0.8 * one.figures.ncpa.sigma_nm,
+            "{} {}",
+            both.figures.ncpa.sigma_nm,
+            one.figures.ncpa.sigma_nm
+        );
     }
     let [plus, minus] = images.try_into().unwrap();
     let swapped = Estimator::new(&scene).unwrap().estimate(&[minus, plus]).unwrap();
-    assert_eq!(swapped.coefficients_nm, both.coefficients_nm);
+    assert_eq!(swapped.modes.coefficients_nm, both.modes.coefficients_nm);
 }
 
 #[test]
@@ -111,9 +116,11 @@ fn a_channel_in_focus_is_fitted_near_the_others() {
         assert_eq!(all.channels, ["plus", "minus", "focus"]);
         let pair = with_channels(&pair, &[("aberrations.seed", &(300 + seed).to_string())]);
         let pair = Estimator::new(&pair).unwrap().estimate(&images[1..]).unwrap();
-        gain += (all.phasing.sigma_nm / pair.phasing.sigma_nm).ln() / DRAWS as f64;
+        gain += (all.figures.phasing.sigma_nm / pair.figures.phasing.sigma_nm).ln() / DRAWS as f64;
         let residual = all.truth.as_ref().unwrap().1.rms_nm;
-        for (square, (rms_nm, figure)) in squares.iter_mut().zip(residual.iter().zip([&all.phasing, &all.ncpa])) {
+        for (square, (rms_nm, figure)) in
+            squares.iter_mut().zip(residual.iter().zip([&all.figures.phasing, &all.figures.ncpa]))
+        {
             *square += (rms_nm / figure.sigma_nm).powi(2) / DRAWS as f64;
         }
     }
@@ -154,7 +161,7 @@ fn auto_gives_the_estimate_of_the_method_that_it_chooses() {
     let scene = with_channels(PAIR, &[]);
     let images = Images::simulated_channels(&scene).unwrap();
     let found = estimate(&scene.with(&[("estimate.method", "auto")]).unwrap(), &images);
-    assert_eq!(found.coefficients_nm, estimate(&scene, &images).coefficients_nm);
+    assert_eq!(found.modes.coefficients_nm, estimate(&scene, &images).modes.coefficients_nm);
     assert!(found.remarks.iter().any(|remark| remark.contains("chose \"modal\"")), "{:?}", found.remarks);
 }
 

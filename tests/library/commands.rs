@@ -119,18 +119,18 @@ fn commands_in_volts_correct_a_permuted_mirror() {
     let after = estimate(&scene).unwrap();
     println!(
         "phasing {:.2} to {:.2} nm (1σ {:.2}), NCPA {:.2} to {:.2} nm (1σ {:.2}), pistons {after_nm:.1?}",
-        before.phasing.rms_nm,
-        after.phasing.rms_nm,
-        after.phasing.sigma_nm,
-        before.ncpa.rms_nm,
-        after.ncpa.rms_nm,
-        after.ncpa.sigma_nm
+        before.figures.phasing.rms_nm,
+        after.figures.phasing.rms_nm,
+        after.figures.phasing.sigma_nm,
+        before.figures.ncpa.rms_nm,
+        after.figures.ncpa.rms_nm,
+        after.figures.ncpa.sigma_nm
     );
     assert_eq!([before.status, after.status], [ImageStatus::Ok; 2]);
     // What is left of the pistons is the noise of two estimates and those below their error bars; of the NCPA also what the mirror
     // does not make: a wrong sign, order or scale of any channel leaves tens of nm.
-    assert!(after.phasing.rms_nm < 5.0 * after.phasing.sigma_nm, "{}", after.phasing.rms_nm);
-    assert!(after.ncpa.rms_nm < 0.1 * before.ncpa.rms_nm, "{}", after.ncpa.rms_nm);
+    assert!(after.figures.phasing.rms_nm < 5.0 * after.figures.phasing.sigma_nm, "{}", after.figures.phasing.rms_nm);
+    assert!(after.figures.ncpa.rms_nm < 0.1 * before.figures.ncpa.rms_nm, "{}", after.figures.ncpa.rms_nm);
 }
 
 #[test]
@@ -187,8 +187,9 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
     // Segments alone where the limit is in nm.
     assert!(found.corrections(Some(1.0)).unwrap().pistons_nm.iter().all(|nm| nm.abs() <= 1.0));
     // Where nothing but noise is left, all is held: an estimate of a thousandth of these errors.
-    let calm = found.coefficients_nm.iter().map(|nm| 0.001 * nm).collect();
-    let calm = Estimate { coefficients_nm: calm, ..found.clone() }.corrections(None).unwrap();
+    let mut calm = found.clone();
+    calm.modes.coefficients_nm.iter_mut().for_each(|nm| *nm *= 0.001);
+    let calm = calm.corrections(None).unwrap();
     assert!(calm.pistons_nm.iter().all(|nm| *nm == 0.0) && calm.segments_held.iter().all(Option::is_some));
     // By a policy of the scene: a half of each mode above its error bar.
     let half = Estimate { scene: found.scene.with(&[("commands.gain", "0.5")]).unwrap(), ..found.clone() };

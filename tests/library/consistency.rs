@@ -32,7 +32,12 @@ pub fn shown(found: Estimate) -> Estimate {
     let residual = &found.truth.as_ref().unwrap().1;
     println!(
         "residual {:.3?} nm, error bars {:.3} and {:.3} nm, χ² {:.3}, {}, {:?}",
-        residual.rms_nm, found.phasing.sigma_nm, found.ncpa.sigma_nm, found.reduced_chi2, found.model, found.warnings
+        residual.rms_nm,
+        found.figures.phasing.sigma_nm,
+        found.figures.ncpa.sigma_nm,
+        found.reduced_chi2,
+        found.model,
+        found.warnings
     );
     found
 }
@@ -54,11 +59,11 @@ fn arrays_of_counts_are_converted_with_the_gain_of_the_scene() {
     // A power of two: nothing is rounded on the way.
     let counts = Images::new(&made.images_e / 16.0);
     let found = estimate(&gain, &counts);
-    assert_eq!(found.coefficients_nm, expected.coefficients_nm);
+    assert_eq!(found.modes.coefficients_nm, expected.modes.coefficients_nm);
     assert!(found.remarks[0].contains("converted to electrons: 16 per count"), "{:?}", found.remarks);
     assert!(found.is_sound(), "{:?}", found.warnings);
     // Simulated images, and those that a caller has converted, are in electrons.
-    assert_eq!(estimate(&gain, &made).coefficients_nm, expected.coefficients_nm);
+    assert_eq!(estimate(&gain, &made).modes.coefficients_nm, expected.modes.coefficients_nm);
     // Without the gain the noise is a quarter of what the counts of photons would have.
     let unaware = estimate(&plain, &counts);
     assert_eq!(unaware.status, ImageStatus::Misfit);
@@ -86,18 +91,18 @@ fn contradiction_of_file_and_scene_needs_a_decision() {
     assert!(!error.contains("RDNOISE"), "{error}");
     images.trust = Trust::Scene;
     let found = estimate(&plain, &images);
-    assert_eq!(found.coefficients_nm, clean.coefficients_nm);
+    assert_eq!(found.modes.coefficients_nm, clean.modes.coefficients_nm);
     assert!(found.remarks[0].contains("image.wavelength_nm = 2168.6 holds"), "{:?}", found.remarks);
     images.trust = Trust::File;
     let found = estimate(&plain, &images);
     assert_eq!(found.scene.image.wavelength_nm, 1640.0);
-    assert_ne!(found.coefficients_nm, clean.coefficients_nm);
+    assert_ne!(found.modes.coefficients_nm, clean.modes.coefficients_nm);
     (images.trust, images.overrides) = (Trust::Neither, vec!["image.wavelength_nm".into()]);
-    assert_eq!(estimate(&plain, &images).coefficients_nm, clean.coefficients_nm);
+    assert_eq!(estimate(&plain, &images).modes.coefficients_nm, clean.modes.coefficients_nm);
     // A read noise that the scene does not name is the file's.
     let open = plain.without("image.read_noise_e").unwrap();
     let of_card = estimate(&open, &write(&[("RON", 60.0.into())]));
-    assert_eq!(of_card.covariance_nm2, clean.covariance_nm2);
+    assert_eq!(of_card.modes.covariance_nm2, clean.modes.covariance_nm2);
 }
 
 #[test]
@@ -117,7 +122,7 @@ fn filter_without_the_wavelength_contradicts_the_scene() {
     // 2168.6 nm is in K, K' and Ks, and is the wavelength of Br gamma; other names state no band.
     for name in ["Kp + clear", "Br_gamma", "H2_1-0"] {
         let found = estimate(&plain, &write(&[("FILTER", name.into())]));
-        assert_eq!(found.coefficients_nm, clean.coefficients_nm, "{name}");
+        assert_eq!(found.modes.coefficients_nm, clean.modes.coefficients_nm, "{name}");
     }
     for (key, name) in
         [("FILTER", "H"), ("FILTNAME", "L'"), ("FWONAME", "J"), ("FILTER1", "PK50_1.5 + H"), ("FILTER", "r'")]
@@ -134,7 +139,7 @@ fn filter_without_the_wavelength_contradicts_the_scene() {
     let mut images = write(&[("FILTER", "H".into())]);
     images.trust = Trust::Scene;
     let found = estimate(&plain, &images);
-    assert_eq!(found.coefficients_nm, clean.coefficients_nm);
+    assert_eq!(found.modes.coefficients_nm, clean.modes.coefficients_nm);
     assert!(
         ["FILTER = H", "1390 to 1924 nm", "not used"].iter().all(|fact| found.remarks[0].contains(fact)),
         "{:?}",
@@ -143,12 +148,12 @@ fn filter_without_the_wavelength_contradicts_the_scene() {
     images.trust = Trust::File;
     assert_eq!(estimate(&plain, &images).scene.image.wavelength_nm, 1635.0);
     (images.trust, images.overrides) = (Trust::Neither, vec!["image.wavelength_nm".into()]);
-    assert_eq!(estimate(&plain, &images).coefficients_nm, clean.coefficients_nm);
+    assert_eq!(estimate(&plain, &images).modes.coefficients_nm, clean.modes.coefficients_nm);
     // A file that states its wavelength, too, is trusted with that.
     images = write(&[("FILTER", "H".into()), ("WAVELEN", 2168.6.into())]);
     assert!(refused(&plain, &images).contains("card FILTER = H"));
     images.trust = Trust::File;
-    assert_eq!(estimate(&plain, &images).coefficients_nm, clean.coefficients_nm);
+    assert_eq!(estimate(&plain, &images).modes.coefficients_nm, clean.modes.coefficients_nm);
 }
 
 #[test]
@@ -177,7 +182,7 @@ fn image_of_odd_size_loses_its_last_row_and_column() {
     };
     for (rows, columns, edges) in [(97, 97, "row | column"), (97, 96, "row"), (96, 97, "column")] {
         let found = estimate(&scene, &padded(rows, columns));
-        assert_eq!(found.coefficients_nm, clean.coefficients_nm, "{rows} rows, {columns} columns");
+        assert_eq!(found.modes.coefficients_nm, clean.modes.coefficients_nm, "{rows} rows, {columns} columns");
         assert_facts(&found.remarks[0], &format!("last {edges} | left out | {columns}x{rows} pixels | 96x96"));
         let named = ["row", "column"].map(|edge| found.remarks[0].contains(edge));
         assert_eq!(named, [rows == 97, columns == 97], "{:?}", found.remarks);
@@ -201,7 +206,7 @@ fn pixels_with_an_area_are_modelled_as_the_scene_says() {
     let error = |scene: &Scene| {
         let found = estimate(scene, &images);
         let residual = found.truth.as_ref().unwrap().1.clone();
-        let sigma_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+        let sigma_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
         println!("residual {:?} nm, error bars {sigma_nm:?} nm, χ² {:.3}", residual.rms_nm, found.reduced_chi2);
         (residual.rms_nm, sigma_nm, found)
     };
@@ -225,7 +230,10 @@ fn the_area_of_a_pixel_is_fitted() {
     assert_eq!(fitted.key, "image.pixel_fill");
     assert!((fitted.value - 0.9).abs() < 4.0 * fitted.sigma && fitted.sigma < 0.02, "{fitted:?}");
     let residual = found.truth.as_ref().unwrap().1.clone();
-    assert!(residual.rms_nm[0] < 3.0 * found.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.ncpa.sigma_nm);
+    assert!(
+        residual.rms_nm[0] < 3.0 * found.figures.phasing.sigma_nm
+            && residual.rms_nm[1] < 3.0 * found.figures.ncpa.sigma_nm
+    );
 }
 
 #[test]
@@ -277,13 +285,13 @@ fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
     let expected = (misfit.reduced_chi2 / right.reduced_chi2.max(1.0)).sqrt();
     // Not scaled, or scaled by χ² itself, would be far from this.
     assert!(expected > 1.5, "χ² {} and {}", misfit.reduced_chi2, right.reduced_chi2);
-    let pairs = misfit.sigma_nm().into_iter().zip(right.sigma_nm());
+    let pairs = misfit.modes.sigma_nm().into_iter().zip(right.modes.sigma_nm());
     let ratios: Vec<f64> = pairs.map(|(misfit, right)| misfit / right / expected).collect();
     println!("error bars over those that are expected: {ratios:.3?}");
     // The Fisher matrix is that of another wavefront, which differs by what the companion of 2 % makes of it.
     assert!(ratios.iter().all(|ratio| (0.9..1.1).contains(ratio)), "{ratios:?}");
-    assert!((misfit.phasing.sigma_nm / right.phasing.sigma_nm / expected - 1.0).abs() < 0.1);
-    assert!((misfit.ncpa.sigma_nm / right.ncpa.sigma_nm / expected - 1.0).abs() < 0.1);
+    assert!((misfit.figures.phasing.sigma_nm / right.figures.phasing.sigma_nm / expected - 1.0).abs() < 0.1);
+    assert!((misfit.figures.ncpa.sigma_nm / right.figures.ncpa.sigma_nm / expected - 1.0).abs() < 0.1);
 }
 
 /// A MAP estimate does not fit the background, and a modal one does.

@@ -13,7 +13,7 @@ fn diversity_map_needs_no_values_outside_the_pupil() {
     let telescope = Telescope::new(&focus).unwrap();
     let diversity = Diversity::new(&focus, &telescope).unwrap();
     let images = Images::simulated(&focus).unwrap();
-    let expected = Estimator::new(&focus).unwrap().estimate(&images).unwrap().coefficients_nm;
+    let expected = Estimator::new(&focus).unwrap().estimate(&images).unwrap().modes.coefficients_nm;
     // On the samples of the pupil, and on others.
     for samples in [96, 250] {
         let pupil = telescope.pupil_on(cophase::pupil::Grid::new(samples, 4.8).unwrap()).unwrap();
@@ -29,7 +29,7 @@ fn diversity_map_needs_no_values_outside_the_pupil() {
             file.finish().unwrap();
             let mapped =
                 scene(&[("image.diversity_focus_waves_rms", ""), ("image.diversity_file", path.to_str().unwrap())]);
-            let found = Estimator::new(&mapped).unwrap().estimate(&images).unwrap().coefficients_nm;
+            let found = Estimator::new(&mapped).unwrap().estimate(&images).unwrap().modes.coefficients_nm;
             let errors_nm = found.iter().zip(&expected).map(|(found, expected)| (found - expected).abs());
             let worst_nm = errors_nm.fold(0.0f64, f64::max);
             // Interpolation between 96 samples is off by less; an edge without values was off by 6 to 30 nm.

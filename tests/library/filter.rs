@@ -22,7 +22,7 @@ fn made() -> (tempfile::TempDir, Scene) {
 /// Residuals of phasing and NCPA over their error bars, after they are printed.
 fn pulls(what: &str, found: &Estimate) -> [f64; 2] {
     let residual_nm = found.truth.as_ref().unwrap().1.rms_nm;
-    let sigma_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+    let sigma_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
     println!("{what}: residual {residual_nm:.3?} nm, error bars {sigma_nm:.3?} nm, χ² {:.3}", found.reduced_chi2);
     [residual_nm[0] / sigma_nm[0], residual_nm[1] / sigma_nm[1]]
 }

@@ -4,11 +4,12 @@
 use crate::common::assert_facts;
 use cophase::Control;
 use cophase::Error;
+use cophase::Precision;
 use cophase::ao::{Shot, Simulator, Stepper};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::modes::{Samples, SegmentModes};
 use cophase::pipeline::{Estimate, Estimator, Images, SentCorrections};
-use cophase::scene::{self, Precision, Scene};
+use cophase::scene::{self, Scene};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 
@@ -48,12 +49,12 @@ fn estimates_in_single_and_double_precision_agree() {
     let double = single.with_override("estimate.precision", "f64").unwrap();
     let images = exposures(&mut Stepper::new(&single).unwrap(), 3);
     let [single, double] = [single, double].map(|scene| read(&scene, &images).unwrap());
-    assert_eq!((single.precision, double.precision), (Precision::F32, Precision::F64));
-    let (one_nm, other_nm) = (&single.coefficients_nm, &double.coefficients_nm);
+    assert_eq!((single.run.precision, double.run.precision), (Precision::F32, Precision::F64));
+    let (one_nm, other_nm) = (&single.modes.coefficients_nm, &double.modes.coefficients_nm);
     assert_ne!(one_nm, other_nm);
     // A retrieval stops within a fraction of what its noise leaves, in either precision somewhere else.
     let within = |((one, other), sigma): ((&f64, &f64), f64)| (one - other).abs() < sigma;
-    assert!(one_nm.iter().zip(other_nm).zip(double.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
+    assert!(one_nm.iter().zip(other_nm).zip(double.modes.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
 }
 
 /// The motion of the turbulence during exposures of 30 ms, with the telescope's own errors at 0: what it leaves in the NCPA where the estimate
@@ -80,7 +81,7 @@ fn exposures_that_the_turbulence_blurs_leave_no_ncpa() {
     let images = Images { slopes_mas: Some(slopes_mas), ..Images::new(images_e) };
     let [known, instant] = ["0.030", "1e-6"].map(|exposure_s| {
         let estimate = read(&scene.with_override("image.exposure_s", exposure_s).unwrap(), &images).unwrap();
-        (estimate.ncpa.rms_nm, estimate.ncpa.sigma_nm)
+        (estimate.figures.ncpa.rms_nm, estimate.figures.ncpa.sigma_nm)
     });
     println!("NCPA and error bar, nm RMS: {known:?}, {instant:?} for an instant");
     // The error bar says how far chance may take it; two of them are 5 %.
@@ -101,13 +102,13 @@ fn estimates_on_cpu_and_device_agree() {
     let required = std::env::var("COPHASE_REQUIRE_OPENCL").as_deref() == Ok("1");
     assert!(!devices.is_empty() || !required, "COPHASE_REQUIRE_OPENCL=1, and no OpenCL device was found");
     let wanted = read(&cpu, &images).unwrap();
-    assert_eq!((wanted.device.as_str(), wanted.warnings.len()), ("cpu", 0));
-    let (wanted_nm, sigma_nm) = (&wanted.coefficients_nm, wanted.sigma_nm());
+    assert_eq!((wanted.run.device.as_str(), wanted.warnings.len()), ("cpu", 0));
+    let (wanted_nm, sigma_nm) = (&wanted.modes.coefficients_nm, wanted.modes.sigma_nm());
     for info in devices.iter().filter(|info| info.f64) {
         let scene = cpu.with_override("estimate.device", &info.address()).unwrap();
         let found = read(&scene, &images).unwrap();
-        assert!(found.device.starts_with(&info.address()), "{}", found.device);
-        let coefficients_nm = &found.coefficients_nm;
+        assert!(found.run.device.starts_with(&info.address()), "{}", found.run.device);
+        let coefficients_nm = &found.modes.coefficients_nm;
         // The same steps in other roundings, which grow with each: after some hundred, in three passes, 3e-4 of an error bar
         // is seen.
         let parts = coefficients_nm.iter().zip(wanted_nm).zip(&sigma_nm);
@@ -149,10 +150,14 @@ fn telemetry_of_some_images_is_used_for_those() {
     assert!(most.remarks.join("\n").contains(said) && !every.remarks.join("\n").contains(said));
     // Both are estimates of the same NCPA, of eight images and of six.
     for found in [&every, &most] {
-        let left_nm = cophase::metrics::residual_nm(&found.pupil, found.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap();
-        assert!(left_nm < 2.0 * found.ncpa.sigma_nm, "{left_nm} {:?}", found.ncpa);
+        let left_nm =
+            cophase::metrics::residual_nm(&found.pupil, found.maps.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap();
+        assert!(left_nm < 2.0 * found.figures.ncpa.sigma_nm, "{left_nm} {:?}", found.figures.ncpa);
     }
-    assert!(most.ncpa.sigma_nm > every.ncpa.sigma_nm && most.ncpa.sigma_nm < 2.0 * every.ncpa.sigma_nm);
+    assert!(
+        most.figures.ncpa.sigma_nm > every.figures.ncpa.sigma_nm
+            && most.figures.ncpa.sigma_nm < 2.0 * every.figures.ncpa.sigma_nm
+    );
 
     let sentence = read(&scene, &with_missing(&[0, 1, 2, 3, 4, 5, 6])).map(|_| ()).unwrap_err().to_string();
     assert_facts(&sentence, "1 of 8 images | 2 or more");
@@ -224,11 +229,11 @@ fn tilts_of_segments_are_estimated_and_corrected() {
     let rms_nm = |map: ArrayView2<f64>, pupil: &cophase::pupil::Pupil| {
         pupil.rms(pupil.remove_piston_tip_tilt(map).unwrap().view()).unwrap()
     };
-    let left_nm = |found: &Estimate| rms_nm((&found.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
+    let left_nm = |found: &Estimate| rms_nm((&found.maps.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
     // 67 nm left with pistons alone; 35 (added) and 38 nm (from the start) with tilts, of error bars of 29 and 34 nm: the mirror removes most
     // of what so few segments have in common, and the common figure in the model hides a part of the rest (29 and 35 nm without one).
     assert!(left_nm(&auto) < 0.6 * left_nm(&pistons) && left_nm(&tilts) < 0.6 * left_nm(&pistons));
-    assert!(left_nm(&auto) < 2.0 * auto.phasing.sigma_nm, "{:?}", auto.phasing);
+    assert!(left_nm(&auto) < 2.0 * auto.figures.phasing.sigma_nm, "{:?}", auto.figures.phasing);
 
     let is_seen = |found: &Estimate| found.warnings.join("\n").contains("segments seem to be tilted");
     let is_said = |found: &Estimate| found.report().contains("extended by tip and tilt of each segment");
@@ -239,7 +244,7 @@ fn tilts_of_segments_are_estimated_and_corrected() {
     let modes = |found: &Estimate| (found.segment_modes(), found.scene.modes.segment);
     let [few, many] = [(7, scene::SegmentModes::Piston), (21, scene::SegmentModes::PistonTipTilt)];
     assert_eq!([&pistons, &auto, &tilts].map(modes), [few, many, many]);
-    assert_eq!(auto.basis.names.len(), auto.covariance_nm2.nrows());
+    assert_eq!(auto.basis.names.len(), auto.modes.covariance_nm2.nrows());
     assert_eq!((&*auto.basis.names[7], &*auto.basis.names[20]), ("segment-00-tip", "segment-06-tilt"));
 
     // What the corrections leave of the segments is what the estimate leaves, and what is below its error bar.

@@ -33,7 +33,10 @@ fn slopes_are_read_in_the_form_that_the_scene_describes() {
     let refused = Estimator::new(&scene(&[])).unwrap().estimate(&measured).unwrap_err().to_string();
     assert_facts(&refused, "slope_order = [\"interleaved\"] | slope_unit_mas = -1.0000");
     let found = Estimator::new(&scene(&FORM)).unwrap().estimate(&measured).unwrap();
-    assert_eq!((&found.coefficients_nm, found.sigma_nm()), (&expected.coefficients_nm, expected.sigma_nm()));
+    assert_eq!(
+        (&found.modes.coefficients_nm, found.modes.sigma_nm()),
+        (&expected.modes.coefficients_nm, expected.modes.sigma_nm())
+    );
 }
 
 fn write(path: &Path, name: &str, matrix: &Array2<f64>) {
@@ -142,8 +145,9 @@ fn slopes_relative_to_reference_slopes_are_those_that_were_seen() {
     let truth = stepper.simulator().truth();
     let left_over_sigma = |scene: &Scene| {
         let found = Estimator::new(scene).unwrap().estimate(&images).unwrap();
-        let left_nm = cophase::metrics::residual_nm(&found.pupil, found.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap();
-        left_nm / found.ncpa.sigma_nm
+        let left_nm =
+            cophase::metrics::residual_nm(&found.pupil, found.maps.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap();
+        left_nm / found.figures.ncpa.sigma_nm
     };
     let (with, without) = (left_over_sigma(&about), left_over_sigma(&scene(&FORM)));
     // Without them the focus is taken for one of the NCPA: 4 mas in a lenslet of 0.56 m, and ten times the error bar.

@@ -146,8 +146,8 @@ fn left_behind_ringed_mirror(folder: &Path, seed: u64, zernikes: &str) -> [(f64,
     let truth = stepper.simulator().truth();
     let found = Estimator::new(&measured).unwrap().estimate(&images).unwrap();
     let maps_nm = [
-        (&found.phasing_nm, &truth.phasing_nm, found.phasing.sigma_nm),
-        (&found.ncpa_nm, &truth.ncpa_nm, found.ncpa.sigma_nm),
+        (&found.maps.phasing_nm, &truth.phasing_nm, found.figures.phasing.sigma_nm),
+        (&found.maps.ncpa_nm, &truth.ncpa_nm, found.figures.ncpa.sigma_nm),
     ];
     let left = maps_nm.map(|(found_nm, truth_nm, sigma_nm)| {
         (cophase::metrics::residual_nm(&found.pupil, found_nm.view(), truth_nm.view()).unwrap(), sigma_nm)

@@ -16,7 +16,7 @@ fn estimate(made: &[(&str, &str)], read: &[(&str, &str)], policy: Policy) -> Est
 /// Whether the residual is within three error bars, or 1 nm.
 fn is_right(found: &Estimate) -> bool {
     let residual = &found.truth.as_ref().unwrap().1;
-    let sigmas = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+    let sigmas = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
     residual.rms_nm.iter().zip(sigmas).all(|(nm, sigma_nm)| *nm < (3.0 * sigma_nm).max(1.0))
 }
 

@@ -51,10 +51,10 @@ fn moved_reference_is_read_from_images_and_sent_corrections() {
     for file in [path("c.fits").display().to_string(), format!("{}[MOVED_REFERENCE]", path("1.fits").display())] {
         let named = scene.with(&[("wavefront_sensor.moved_reference_file", &file)]).unwrap();
         let named = read(&named, &array);
-        assert_eq!(named.coefficients_nm, known.coefficients_nm, "{file}");
-        assert_eq!(named.covariance_nm2, known.covariance_nm2, "{file}");
+        assert_eq!(named.modes.coefficients_nm, known.modes.coefficients_nm, "{file}");
+        assert_eq!(named.modes.covariance_nm2, known.modes.covariance_nm2, "{file}");
     }
-    assert_ne!(read(&scene, &array).covariance_nm2, known.covariance_nm2);
+    assert_ne!(read(&scene, &array).modes.covariance_nm2, known.modes.covariance_nm2);
 }
 
 #[test]

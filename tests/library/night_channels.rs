@@ -39,7 +39,7 @@ fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
 /// Whether the residuals are within three error bars.
 fn is_right(found: &Estimate) -> bool {
     let residual = &found.truth.as_ref().unwrap().1;
-    residual.rms_nm[0] < 3.0 * found.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.ncpa.sigma_nm
+    residual.rms_nm[0] < 3.0 * found.figures.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.figures.ncpa.sigma_nm
 }
 
 #[test]
@@ -53,15 +53,15 @@ fn successive_channels_are_one_sequence() {
     assert_eq!(found.channels, ["plus", "minus"]);
     let channels: Vec<usize> = found.images.iter().map(|image| image.channel).collect();
     assert_eq!(channels, [[0; 8], [1; 8]].concat());
-    let map = found.map.as_ref().unwrap();
+    let map = found.full_phase().unwrap();
     assert_eq!(map.ao_knowledge, AoKnowledge::Telemetry);
     // Turbulence averages over twice the images: 1/√2, and the noise of an estimate of the scatter from eight images.
     let one = Estimator::new(&scene.channels()[0].scene).unwrap().estimate(&images[0]).unwrap();
-    let ratio = found.phasing.sigma_nm / one.phasing.sigma_nm;
+    let ratio = found.figures.phasing.sigma_nm / one.figures.phasing.sigma_nm;
     assert!((0.55..0.9).contains(&ratio), "{ratio}");
     let [plus, minus] = images.try_into().unwrap();
     let swapped = Estimator::new(&scene).unwrap().estimate(&[minus, plus]).unwrap();
-    assert_eq!(swapped.coefficients_nm, found.coefficients_nm);
+    assert_eq!(swapped.modes.coefficients_nm, found.modes.coefficients_nm);
 }
 
 #[test]
@@ -75,11 +75,11 @@ fn simultaneous_channels_are_averaged_in_each_exposure() {
     assert_eq!(found.status, ImageStatus::Ok);
     assert!(is_right(&found), "{:?}", found.warnings);
     assert_eq!(found.images.len(), 16);
-    let iterations = &found.map.as_ref().unwrap().iterations;
+    let iterations = &found.full_phase().unwrap().iterations;
     assert_eq!(iterations.last().unwrap().used_images, (0..8).collect::<Vec<_>>());
     // The second image of an exposure has its turbulence, too, and averages none of it.
     let one = Estimator::new(&scene.channels()[0].scene).unwrap().estimate(&images[0]).unwrap();
-    let ratio = found.phasing.sigma_nm / one.phasing.sigma_nm;
+    let ratio = found.figures.phasing.sigma_nm / one.figures.phasing.sigma_nm;
     assert!((0.7..1.2).contains(&ratio), "{ratio}");
     let mut fewer = images.clone();
     let seven = images[1].images_e.slice(ndarray::s![..7, .., ..]).to_owned();
@@ -109,7 +109,7 @@ fn in_focus_channels_and_partial_slopes_are_left_out() {
     images[1].slopes_mas = None;
     let found = estimate(&scene, &images);
     assert_eq!((found.channels.len(), found.images.len()), (2, 8));
-    assert_eq!(found.map.as_ref().unwrap().ao_knowledge, AoKnowledge::Loop);
+    assert_eq!(found.full_phase().unwrap().ao_knowledge, AoKnowledge::Loop);
     for part in ["channel focus: it is in focus", "some channels have slopes"] {
         assert!(found.warnings.iter().any(|warning| warning.contains(part)), "{part}: {:?}", found.warnings);
     }
@@ -121,6 +121,6 @@ fn in_focus_channels_and_partial_slopes_are_left_out() {
 fn auto_chooses_by_the_images_of_each_channel() {
     let auto = scene(PAIR, &[("estimate.method", "auto"), ("image.count", "3")]);
     let found = estimate(&auto, &simulated(&auto));
-    assert!(found.map.is_some());
+    assert!(found.full_phase().is_some());
     assert!(found.remarks.iter().any(|remark| remark.contains("chose \"full-phase\"")), "{:?}", found.remarks);
 }

@@ -30,7 +30,7 @@ fn an_observation_reaches_its_budget_when_it_is_taken() {
     // Some ten modes each: their RMS exceeds twice its expectation once in 10⁴ draws. Error bars are those of one noise and one wavefront.
     let residual_nm = found.truth.as_ref().unwrap().1.rms_nm;
     assert!((0..2).all(|part| residual_nm[part] < 2.0 * best.expected_nm[part]), "{residual_nm:?} {best:?}");
-    let bars_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+    let bars_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
     assert!((0..2).all(|part| (bars_nm[part] / best.expected_nm[part] - 1.0).abs() < 0.2), "{bars_nm:?} {best:?}");
 }
 

@@ -62,7 +62,7 @@ fn normal(count: usize, seed: u64) -> Array1<f64> {
 /// RMS over the pupil of the difference of two maps of NCPA, nm.
 fn difference_nm(estimate: &Estimate, other_nm: &Array2<f64>) -> f64 {
     let filled = |map: &Array2<f64>| map.mapv(|nm| if nm.is_finite() { nm } else { 0.0 });
-    residual_nm(&estimate.pupil, filled(&estimate.ncpa_nm).view(), filled(other_nm).view()).unwrap()
+    residual_nm(&estimate.pupil, filled(&estimate.maps.ncpa_nm).view(), filled(other_nm).view()).unwrap()
 }
 
 impl Draw {
@@ -128,8 +128,8 @@ impl Draw {
         let [as_measured, changed] = [0.0, SPREAD].map(|spread| self.estimate(spread));
         let truth_nm = &self.simulator.truth().ncpa_nm;
         let residuals_nm = [&as_measured, &changed].map(|estimate| difference_nm(estimate, truth_nm));
-        let sigmas_nm = [as_measured.ncpa.sigma_nm, changed.ncpa.sigma_nm];
-        let change_nm = difference_nm(&as_measured, &changed.ncpa_nm);
+        let sigmas_nm = [as_measured.figures.ncpa.sigma_nm, changed.figures.ncpa.sigma_nm];
+        let change_nm = difference_nm(&as_measured, &changed.maps.ncpa_nm);
         println!("{name}: NCPA, nm: residuals {residuals_nm:.2?}, error bars {sigmas_nm:.2?}, change {change_nm:.2}");
         change_nm / sigmas_nm[0]
     }

@@ -56,9 +56,9 @@ fn a_pupil_without_symmetry_determines_the_orientation() {
     let turned = Images { truth: None, scene: None, facts: Vec::new(), ..images.clone() };
     let opposite = Estimator::new(&opposite.unwrap()).unwrap().estimate(&turned).unwrap();
     assert!(opposite.is_sound(), "{:?}", opposite.warnings);
-    for (one, other) in right.coefficients_nm.iter().zip(&opposite.coefficients_nm) {
+    for (one, other) in right.modes.coefficients_nm.iter().zip(&opposite.modes.coefficients_nm) {
         // Two fits that stop at steps of a fraction of their error bars.
-        assert!((one + other).abs() < right.phasing.sigma_nm, "{one} {other}");
+        assert!((one + other).abs() < right.figures.phasing.sigma_nm, "{one} {other}");
     }
     for found in [&right, &opposite] {
         assert!(found.remarks.iter().any(|remark| remark.contains("Images turned by 180°")), "{:?}", found.remarks);
@@ -86,7 +86,7 @@ fn a_pupil_that_equals_its_mirror_image_does_not() {
     // Wrong, and nothing in the image shows it: the remark is what the user has.
     assert!(flipped.is_sound() && remarks(&flipped) == 1, "{:?} {:?}", flipped.warnings, flipped.remarks);
     let residual_nm = flipped.truth.as_ref().unwrap().1.rms_nm;
-    assert!(residual_nm[0] > 3.0 * flipped.phasing.sigma_nm, "{residual_nm:?}");
+    assert!(residual_nm[0] > 3.0 * flipped.figures.phasing.sigma_nm, "{residual_nm:?}");
 }
 
 /// The response of a known loop is computed from the pistons, whose flipped map has the flipped response.
@@ -98,7 +98,7 @@ fn known_loop_without_slopes_leaves_the_orientation_open() {
     let images = exposures(&mut Stepper::new(&scene).unwrap(), 3);
     let images = Images { slopes_mas: None, ..images };
     let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
-    assert_eq!(found.map.as_ref().unwrap().ao_knowledge, AoKnowledge::Loop);
+    assert_eq!(found.full_phase().unwrap().ao_knowledge, AoKnowledge::Loop);
     assert_eq!(remarks(&found), 1, "{:?}", found.remarks);
     assert_eq!(found.report().matches(UNVERIFIED).count(), 1, "{}", found.report());
 }

@@ -118,11 +118,11 @@ fn estimate(scene: &Scene) -> Estimate {
 fn petals_of_300_nm_are_found_in_one_defocused_image() {
     let found = estimate(&keck(&[PISTONS, ("modes.petals", "piston"), ("estimate.model", "scene")]));
     let (_, residual) = found.truth.as_ref().unwrap();
-    let left_nm = sector_means(&found.pupil, residual.ncpa_nm.view());
-    println!("errors of the petals, nm: {left_nm:.2?}; NCPA {:?} {:?}", residual.rms_nm, found.ncpa);
+    let left_nm = sector_means(&found.pupil, residual.maps.ncpa_nm.view());
+    println!("errors of the petals, nm: {left_nm:.2?}; NCPA {:?} {:?}", residual.rms_nm, found.figures.ncpa);
     // Steps of 600 nm are at the nearest of samples that are four vanes wide: a misfit of 2.7 times the noise, by which the error bar is
     // widened. The error of the map is normal with that error bar, of many modes, so twice of it is beyond chance.
-    assert!(residual.rms_nm[1] < 2.0 * found.ncpa.sigma_nm, "{:?} {:?}", residual.rms_nm, found.ncpa);
+    assert!(residual.rms_nm[1] < 2.0 * found.figures.ncpa.sigma_nm, "{:?} {:?}", residual.rms_nm, found.figures.ncpa);
     assert!(left_nm.iter().all(|nm| nm.abs() < 5.0), "{left_nm:?}");
 }
 
@@ -148,7 +148,7 @@ fn pistons_tips_and_tilts_of_a_mirror_of_one_piece_are_found() {
     let found = ["none", "piston-tip-tilt"]
         .map(|petals| estimate(&keck(&settings).with_override("modes.petals", petals).unwrap()));
     let left_nm = found.each_ref().map(|found| found.truth.as_ref().unwrap().1.rms_nm[1]);
-    println!("NCPA residuals without and with petals, nm: {left_nm:?}, error bar {:?}", found[1].ncpa);
+    println!("NCPA residuals without and with petals, nm: {left_nm:?}, error bar {:?}", found[1].figures.ncpa);
     assert!(found[1].basis.names.iter().any(|name| name == "petal-tilt-0"), "{:?}", found[1].basis.names);
     assert!(left_nm[0] > 10.0 * left_nm[1], "{left_nm:?}");
 }
@@ -175,7 +175,7 @@ fn petals_are_static_modes_of_a_full_phase_estimate() {
     let [without, with] = ["none", "piston"].map(|petals| {
         let scene = scene.with_override("modes.petals", petals).unwrap();
         let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
-        (found.truth.as_ref().unwrap().1.rms_nm[1], found.ncpa.sigma_nm)
+        (found.truth.as_ref().unwrap().1.rms_nm[1], found.figures.ncpa.sigma_nm)
     });
     println!("NCPA residual and error bar without and with petals, nm: {without:?} {with:?}");
     // 6 nm in place of 80: steps of 100 nm are far above what the turbulence of eight images leaves.

@@ -49,7 +49,7 @@ fn the_stages_of_a_map_estimate_count_their_images() {
     let runs: Vec<&[Progress]> = seen.chunk_by(|one, next| one.stage == next.stage).collect();
     let of = |stage: Stage| runs.iter().copied().filter(move |run| run[0].stage == stage).collect::<Vec<_>>();
     let (retrieving, separating) = (of(Stage::Retrieving), of(Stage::Separating));
-    let iterations = found.map.as_ref().unwrap().iterations.len();
+    let iterations = found.full_phase().unwrap().iterations.len();
     // The iterations, each of which retrieves wavefronts and then separates the static errors.
     assert!(retrieving.len() >= iterations && separating.len() >= iterations, "{iterations} iterations: {seen:?}");
     for run in retrieving {

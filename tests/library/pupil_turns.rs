@@ -29,7 +29,7 @@ fn images_of_a_turning_pupil_are_fitted_each_with_its_turn() {
     let first = Images::simulated(&turning("[3.0]").with(&[("image.count", "1")]).unwrap()).unwrap();
     let single = Estimator::new(&turning("[3.0]")).unwrap().estimate(&first).unwrap();
     assert!(is_right(&single), "one turn for all is no channel: {:?}", single.channels);
-    let ratio = found.phasing.sigma_nm / single.phasing.sigma_nm;
+    let ratio = found.figures.phasing.sigma_nm / single.figures.phasing.sigma_nm;
     assert!((0.45..0.6).contains(&ratio), "error bars of four images over those of one: {ratio}");
     // Without the turns the images contradict the model.
     assert!(!one.is_sound() && one.reduced_chi2 > 2.0 * found.reduced_chi2, "{}", one.reduced_chi2);
@@ -38,7 +38,7 @@ fn images_of_a_turning_pupil_are_fitted_each_with_its_turn() {
         |number| estimator.fit_part(std::slice::from_ref(&images), Part::new(number, 2).unwrap(), Vec::new()).unwrap();
     let mut parts = PartFits::of_all(vec![fit(1), fit(2)]).unwrap();
     let merged = estimator.estimate_from_parts(&[images], &mut parts).unwrap();
-    assert_eq!(merged.coefficients_nm, found.coefficients_nm);
+    assert_eq!(merged.modes.coefficients_nm, found.modes.coefficients_nm);
 }
 
 #[test]

@@ -47,7 +47,7 @@ fn estimator_keeps_its_model_until_a_scene_file_changes() {
     let wide = "2000, 0\n2100, 1\n2300, 1\n2400, 0\n";
     std::fs::write(&filter, wide).unwrap();
     let (images, estimator) = (Images::simulated(&scene).unwrap(), Estimator::new(&scene).unwrap());
-    let estimates = |estimator: &Estimator| estimator.estimate(&images).unwrap().coefficients_nm;
+    let estimates = |estimator: &Estimator| estimator.estimate(&images).unwrap().modes.coefficients_nm;
     let found = estimates(&estimator);
     assert_eq!(estimates(&estimator), found);
     std::fs::write(&filter, wide.replace("2100", "2150")).unwrap();
@@ -71,7 +71,7 @@ fn the_scene_in_an_image_file_may_name_files_of_another_machine() {
     assert_eq!(embedded.mirror.actuator_file.as_deref(), Some(Path::new("/elsewhere/none.txt")));
     let [found, expected] = [(&embedded, &Images::read(&path, None).unwrap()), (&plain, &images)]
         .map(|(scene, images)| Estimator::new(scene).unwrap().estimate(images).unwrap());
-    assert_eq!(found.coefficients_nm, expected.coefficients_nm);
+    assert_eq!(found.modes.coefficients_nm, expected.modes.coefficients_nm);
     // The same text as a scene of its own is not.
     assert!(refusal(&elsewhere).contains("/elsewhere/none.txt"));
 }

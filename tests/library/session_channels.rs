@@ -45,8 +45,8 @@ fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
 /// Compares a session with the estimate from the same images: the largest difference of a coefficient over its error bar, and the
 /// smallest and largest ratio of error bars.
 fn agreement(session: &Session, estimate: &Estimate) -> (f64, [f64; 2]) {
-    let (fit, sigma_nm) = (result(session), estimate.sigma_nm());
-    let off = fit.coefficients_nm.iter().zip(&estimate.coefficients_nm).zip(&sigma_nm);
+    let (fit, sigma_nm) = (result(session), estimate.modes.sigma_nm());
+    let off = fit.coefficients_nm.iter().zip(&estimate.modes.coefficients_nm).zip(&sigma_nm);
     let off = off.map(|((a, b), sigma)| (a - b).abs() / sigma).fold(0.0, f64::max);
     let ratios: Vec<f64> = fit.sigma_nm.iter().zip(&sigma_nm).map(|(a, b)| a / b).collect();
     let extreme = |choose: fn(f64, f64) -> f64| ratios.iter().copied().reduce(choose).unwrap();
@@ -56,13 +56,13 @@ fn agreement(session: &Session, estimate: &Estimate) -> (f64, [f64; 2]) {
 /// The refined fit is the estimate: the same matrices from fits that are the same to the bit, but for the last digits of χ².
 fn refines_to(session: &Session, estimate: &Estimate) {
     let refined = session.refine(0).unwrap();
-    let sigma_nm = estimate.sigma_nm();
+    let sigma_nm = estimate.modes.sigma_nm();
     for (mode, sigma) in sigma_nm.iter().enumerate() {
-        let off = (refined.coefficients_nm[mode] - estimate.coefficients_nm[mode]).abs();
+        let off = (refined.coefficients_nm[mode] - estimate.modes.coefficients_nm[mode]).abs();
         assert!(off < 1e-5 * sigma, "{mode}: {off} of {sigma}");
     }
     let largest = sigma_nm.iter().fold(0.0, |most: f64, sigma| most.max(sigma * sigma));
-    let off: Array2<f64> = &refined.covariance_nm2 - &estimate.covariance_nm2;
+    let off: Array2<f64> = &refined.covariance_nm2 - &estimate.modes.covariance_nm2;
     assert!(off.iter().all(|nm2| nm2.abs() < 1e-6 * largest));
     assert_eq!(refined.integers.len(), estimate.integers.len());
     assert!(refined.integers.iter().zip(&estimate.integers).all(|(a, b)| a.integer == b.integer));

@@ -1,7 +1,7 @@
 //! `cophase compare`: an estimate against the truth.
 
 use cophase::io::FitsReader;
-use cophase::pipeline::{Comparison, ForeignComparison, ForeignTruth, TruthMaps, read_pistons};
+use cophase::pipeline::{Comparison, ForeignComparison, ForeignTruth, StaticMaps, read_pistons};
 use cophase::scene::Scene;
 use cophase::telescope::{OpdMap, SegmentPlace, Telescope};
 use cophase::{Error, Result};
@@ -70,23 +70,22 @@ struct Summary {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let path = &arguments.estimate;
     let mut file = FitsReader::open(path)?;
-    let maps = [file.map(Some("PHASING"))?, file.map(Some("NCPA"))?];
+    let maps = StaticMaps { phasing_nm: file.map(Some("PHASING"))?, ncpa_nm: file.map(Some("NCPA"))? };
     let scene = cophase::pipeline::embedded_scene(path, |_| arguments.foreign_files)?
         .ok_or_else(|| Error::file(path, "holds no scene (table SCENE), which says how the pupil is weighted"))?;
     let telescope = Telescope::new(&scene)?;
-    let [phasing_nm, ncpa_nm] = &maps;
-    let compared = |truth: &ForeignTruth| truth.compare(&telescope, phasing_nm, ncpa_nm);
+    let compared = |truth: &ForeignTruth| truth.compare(&telescope, &maps);
     let found = match arguments.foreign(&scene, &telescope)? {
         Some(truth) => compared(&truth).map_err(|error| Error::file(path, error))?,
         None => {
             let truth_path: &Path = arguments.truth.as_deref().unwrap_or(path);
-            let truth = TruthMaps::read(truth_path)?.ok_or_else(|| {
+            let truth = StaticMaps::read_truth(truth_path)?.ok_or_else(|| {
                 let other = if arguments.truth.is_none() { ": name a file that does with --truth" } else { "" };
                 Error::file(truth_path, format_args!("holds no truth (images TRUTH_PHASING and TRUTH_NCPA){other}"))
             })?;
             let about = |error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display()));
             if is_on_grid(truth_path, &truth, &telescope)? {
-                let found = Comparison::new(&telescope.pupil, phasing_nm, ncpa_nm, &truth).map_err(about)?;
+                let found = Comparison::new(&telescope.pupil, &maps, &truth).map_err(about)?;
                 let samples = telescope.pupil.amplitude.iter().filter(|amplitude| **amplitude > 0.0).count();
                 ForeignComparison { rms_nm: found.rms_nm.map(Some), samples, left_out: 0 }
             } else {
@@ -116,7 +115,7 @@ impl Arguments {
 }
 
 /// Whether the maps of `truth`, which are in the file `path`, are on the grid of `telescope`.
-fn is_on_grid(path: &Path, truth: &TruthMaps, telescope: &Telescope) -> Result<bool> {
+fn is_on_grid(path: &Path, truth: &StaticMaps, telescope: &Telescope) -> Result<bool> {
     let grid = &telescope.pupil.grid;
     let width_m = FitsReader::open(path)?.card(Some("TRUTH_PHASING"), "GRID_M")?.and_then(|card| card.number());
     let is_as_wide = width_m.is_none_or(|width_m| (width_m - grid.width_m()).abs() <= 1e-6 * grid.width_m());

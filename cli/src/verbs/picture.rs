@@ -3,7 +3,7 @@
 use cophase::Result;
 use cophase::modal::Model;
 use cophase::modes::Group;
-use cophase::pipeline::{Comparison, Estimate, Figure, ImageStatus, TruthMaps};
+use cophase::pipeline::{Comparison, Estimate, Figure, ImageStatus, StaticMaps};
 use cophase_view::plot::{EstimatePicture, ImageTriple, MapRms, MapTriple, ModalBars, ModeGroup};
 use cophase_view::terminal::counted;
 use ndarray::Array2;
@@ -12,7 +12,7 @@ use ndarray::Array2;
 pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
     let truth = estimate.truth.as_ref();
     let triple =
-        |map: &Array2<f64>, sigma: &Array2<f64>, part: &dyn Fn(&TruthMaps, &Comparison) -> [Array2<f64>; 2]| {
+        |map: &Array2<f64>, sigma: &Array2<f64>, part: &dyn Fn(&StaticMaps, &Comparison) -> [Array2<f64>; 2]| {
             let [truth, residual] = truth.map(|(truth, residual)| part(truth, residual).map(Some)).unwrap_or_default();
             MapTriple {
                 estimate: map.clone(),
@@ -30,14 +30,14 @@ pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
         subtitle: subtitle(estimate),
         phasing: MapTriple {
             rms: phasing_rms,
-            ..triple(&estimate.phasing_nm, &estimate.phasing_sigma_nm, &|truth, residual| {
-                [truth.phasing_nm.clone(), residual.phasing_nm.clone()]
+            ..triple(&estimate.maps.phasing_nm, &estimate.sigma_maps.phasing_nm, &|truth, residual| {
+                [truth.phasing_nm.clone(), residual.maps.phasing_nm.clone()]
             })
         },
         ncpa: MapTriple {
             rms: ncpa_rms,
-            ..triple(&estimate.ncpa_nm, &estimate.ncpa_sigma_nm, &|truth, residual| {
-                [truth.ncpa_nm.clone(), residual.ncpa_nm.clone()]
+            ..triple(&estimate.maps.ncpa_nm, &estimate.sigma_maps.ncpa_nm, &|truth, residual| {
+                [truth.ncpa_nm.clone(), residual.maps.ncpa_nm.clone()]
             })
         },
         bars: bars(estimate)?,
@@ -48,7 +48,8 @@ pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
 /// The first image of each channel.
 fn images(estimate: &Estimate) -> Vec<ImageTriple> {
     let name = |number: usize| estimate.channels.get(number).cloned().unwrap_or_default();
-    let each = estimate.compared.iter().enumerate().map(|(number, compared)| ImageTriple {
+    let compared = estimate.modal().map_or(&[][..], |modal| &modal.compared);
+    let each = compared.iter().enumerate().map(|(number, compared)| ImageTriple {
         name: name(number),
         data: compared.data_e.clone(),
         model: compared.model_e.clone(),
@@ -72,7 +73,7 @@ fn rms(estimate: &Estimate) -> Result<[MapRms; 2]> {
     };
     let phasing_nm = truth.map(|(truth, _)| of_truth(&truth.phasing_nm)).transpose()?;
     let ncpa_nm = truth.map(|(truth, _)| of_truth(&truth.ncpa_nm)).transpose()?;
-    Ok([figures(0, estimate.phasing, phasing_nm), figures(1, estimate.ncpa, ncpa_nm)])
+    Ok([figures(0, estimate.figures.phasing, phasing_nm), figures(1, estimate.figures.ncpa, ncpa_nm)])
 }
 
 /// A line for an estimate that is not sound: its status, and the first of its warnings.
@@ -92,11 +93,11 @@ fn subtitle(estimate: &Estimate) -> Vec<String> {
         let residual = residuals_nm.map(|nm| format!(", residual {:.2}", nm[i])).unwrap_or_default();
         format!("{name} {rms_nm:.2} nm RMS (1σ {sigma_nm:.2}{residual})")
     };
-    let method = match &estimate.map {
+    let method = match estimate.full_phase() {
         None => String::new(),
         Some(map) => format!(
             ", {}, AO knowledge \"{}\", {}",
-            estimate.method().word(),
+            estimate.method.word(),
             map.ao_knowledge.word(),
             counted(map.iterations.len(), "iteration")
         ),
@@ -107,11 +108,11 @@ fn subtitle(estimate: &Estimate) -> Vec<String> {
         counted(estimate.images.len(), "image"),
         estimate.scene.image.wavelength_nm,
         estimate.reduced_chi2,
-        estimate.seconds,
-        estimate.device,
-        estimate.precision.word()
+        estimate.run.seconds,
+        estimate.run.device,
+        estimate.run.precision
     );
-    let (phasing, ncpa) = (part(0, "phasing", estimate.phasing), part(1, "NCPA", estimate.ncpa));
+    let (phasing, ncpa) = (part(0, "phasing", estimate.figures.phasing), part(1, "NCPA", estimate.figures.ncpa));
     let figures = format!("{phasing}, {ncpa}, tip and tilt removed");
     [figures, how].into_iter().chain(doubt(estimate)).collect()
 }
@@ -121,13 +122,13 @@ fn bars(estimate: &Estimate) -> Result<ModalBars> {
         Group::Segment => ModeGroup::Segment,
         Group::Ncpa => ModeGroup::Ncpa,
     };
-    let known = estimate.fitter.as_ref().zip(estimate.truth.as_ref());
+    let known = estimate.modal().zip(estimate.truth.as_ref());
     Ok(ModalBars {
         names: estimate.basis.names.iter().map(|name| short(name)).collect(),
         groups: estimate.basis.groups.iter().map(group).collect(),
-        estimate_nm: estimate.coefficients_nm.clone(),
-        sigma_nm: estimate.sigma_nm(),
-        truth_nm: known.map(|(fitter, (truth, _))| true_coefficients(fitter.model(), truth)).transpose()?,
+        estimate_nm: estimate.modes.coefficients_nm.clone(),
+        sigma_nm: estimate.modes.sigma_nm(),
+        truth_nm: known.map(|(modal, (truth, _))| true_coefficients(modal.fitter.model(), truth)).transpose()?,
     })
 }
 
@@ -143,7 +144,7 @@ fn short(name: &str) -> String {
 /// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with itself. That is the
 /// coefficient where the modes of a group are orthogonal, as segments, exact Zernikes and Karhunen-Loève modes are;
 /// elsewhere the picture has no truth for them (NaN).
-fn true_coefficients(model: &Model, truth: &TruthMaps) -> Result<Vec<f64>> {
+fn true_coefficients(model: &Model, truth: &StaticMaps) -> Result<Vec<f64>> {
     let amplitude = &model.telescope.pupil.amplitude;
     let weighted = |truth_nm: &Array2<f64>| {
         let part = |at: (usize, usize)| if amplitude[at] > 0.0 { truth_nm[at] * amplitude[at] } else { 0.0 };

@@ -5,10 +5,11 @@
 //! `COPHASE_REQUIRE_OCTAVE=1`.
 
 use crate::{Desk, SMALL};
+use cophase::Precision;
 use cophase::ao::Stepper;
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
-use cophase::scene::{Precision, Scene};
+use cophase::scene::Scene;
 use ndarray::{Array2, Array3, s};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -108,14 +109,14 @@ fn lines<'a>(
 }
 
 fn of_rust(estimate: &Estimate) -> Vec<String> {
-    let sigma_nm = estimate.sigma_nm();
-    let numbers = estimate.coefficients_nm.iter().copied().zip(sigma_nm);
+    let sigma_nm = estimate.modes.sigma_nm();
+    let numbers = estimate.modes.coefficients_nm.iter().copied().zip(sigma_nm);
     let images = estimate.images.iter();
     lines(
         estimate.basis.names.iter().zip(numbers),
         images.map(|image| (image.status.word().into(), image.reduced_chi2, image.rejected.total() as i64)),
         &estimate.warnings,
-        (estimate.policy.name(), &estimate.device),
+        (estimate.policy.name(), &estimate.run.device),
     )
 }
 
@@ -238,7 +239,7 @@ fn frames_with_one_row_and_one_column_more() {
     case.images_e = odd;
     let found = case.is_the_same_everywhere();
     assert!(["row", "column", "left out"].iter().all(|fact| found.remarks[0].contains(fact)), "{:?}", found.remarks);
-    assert_eq!(found.coefficients_nm, even.coefficients_nm);
+    assert_eq!(found.modes.coefficients_nm, even.modes.coefficients_nm);
 }
 
 #[test]
@@ -270,7 +271,7 @@ fn a_fit_that_is_restarted() {
 #[ignore = "merge: one of the cases beyond three"]
 fn a_plan_for_a_budget_in_single_precision() {
     let found = Case::of_source(&[("estimate.budget_nm", "3")]).is_the_same_everywhere();
-    assert_eq!(found.precision, Precision::F32, "{}", found.scene.text());
+    assert_eq!(found.run.precision, Precision::F32, "{}", found.scene.text());
 }
 
 #[test]
@@ -308,6 +309,6 @@ fn is_the_same_map_sequence(settings: &[(&str, &str)]) -> Estimate {
         slopes_mas: Some(slopes_mas),
     };
     let found = case.is_the_same_everywhere();
-    assert!(found.map.is_some());
+    assert!(found.full_phase().is_some());
     found
 }

@@ -100,15 +100,15 @@ impl ChannelDraw {
         let Some((truth, residual)) = &found.truth else {
             return Err(Error::Internal("a simulated image has no truth".into()));
         };
-        let errors_nm = segment_means(found, &(&found.phasing_nm - &truth.phasing_nm));
+        let errors_nm = segment_means(found, &(&found.maps.phasing_nm - &truth.phasing_nm));
         let off_nm = median(&errors_nm);
         // Another integer is a wavelength, 1,640 nm or more, away.
         let is_right = |nm: &f64| (nm - off_nm).abs() < 500.0;
         let integers = found.integers.iter().zip(&errors_nm).map(|(one, nm)| (one.probability, is_right(nm)));
         Ok(Self {
             residual_nm: [residual.rms_nm[0], residual.rms_nm[1]],
-            sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
-            seconds: found.model_seconds + found.seconds,
+            sigma_nm: [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm],
+            seconds: found.run.model_seconds + found.run.seconds,
             is_flagged: !found.is_sound(),
             integers: integers.collect(),
         })

@@ -145,8 +145,8 @@ fn measure(scene: &Scene, sent: &[SentCorrections], progress: &Progress) -> Resu
     let path = folder.path().join("images.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary)?;
     let estimate = Estimator::new(scene)?.estimate(&Images::read(&path, None)?)?;
-    let sigma_nm = [estimate.phasing.sigma_nm, estimate.ncpa.sigma_nm];
-    Ok((estimate.corrections(None)?, sigma_nm, estimate.seconds))
+    let sigma_nm = [estimate.figures.phasing.sigma_nm, estimate.figures.ncpa.sigma_nm];
+    Ok((estimate.corrections(None)?, sigma_nm, estimate.run.seconds))
 }
 
 fn residuals_nm(scene: &Scene, truth: &Truth) -> Result<[f64; 2]> {

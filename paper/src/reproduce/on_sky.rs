@@ -293,7 +293,8 @@ impl Reader {
                 seconds,
             });
         };
-        let [phasing_nm, ncpa_nm] = self.residuals_nm(sequence, found.phasing_nm.view(), found.ncpa_nm.view())?;
+        let [phasing_nm, ncpa_nm] =
+            self.residuals_nm(sequence, found.combined.maps.phasing_nm.view(), found.combined.maps.ncpa_nm.view())?;
         let evaluations: usize = found.images.iter().map(|image| image.evaluations).sum();
         Ok(Reading {
             way: self.way,

@@ -99,7 +99,7 @@ pub fn image_numbers(conditions: &Conditions, seeds: usize, progress: &Progress)
                     let chosen = spread(sequence.images(), point.images, set, sets);
                     match reader.estimator.combine_subset(&found, &chosen, point.combine) {
                         Ok(found) => {
-                            let (phasing_nm, ncpa_nm) = (found.phasing_nm.view(), found.ncpa_nm.view());
+                            let (phasing_nm, ncpa_nm) = (found.maps.phasing_nm.view(), found.maps.ncpa_nm.view());
                             let [phasing_nm, ncpa_nm] = reader.residuals_nm(&sequence, phasing_nm, ncpa_nm)?;
                             residuals_nm.extend([place as f64, phasing_nm, ncpa_nm]);
                         }

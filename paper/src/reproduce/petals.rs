@@ -153,21 +153,22 @@ fn petals_of(telescope: &Telescope) -> Result<Petals> {
 
 impl PetalDraw {
     fn new(found: &Estimate, case: &Case) -> Result<Self> {
-        let (Some((_, residual)), Some(fitter)) = (&found.truth, &found.fitter) else {
-            return Err(Error::Internal("a modal estimate of a simulated image has no truth or no model".into()));
+        let (Some((_, residual)), Some(modal)) = (&found.truth, found.modal()) else {
+            return Err(Error::Internal("the estimate of a simulated image has no truth or is not modal".into()));
         };
+        let model = modal.fitter.model();
         let (pupil, petals) = (&found.pupil, &case.petals);
-        let modes = fitter.model().modes_of(case.group);
-        let maps = fitter.model().basis.maps();
+        let modes = model.modes_of(case.group);
+        let maps = model.basis.maps();
         // Mean of each mode over each petal, [petal, mode].
         let mut response = Array2::zeros((petals.len(), modes.len()));
         for (mut column, mode) in response.columns_mut().into_iter().zip(modes.clone()) {
             let map = pupil.remove_piston_tip_tilt(maps.index_axis(Axis(0), mode))?;
             column.iter_mut().zip(means(petals, pupil, map.view())).for_each(|(out, mean)| *out = mean);
         }
-        let covariance_nm2 = found.covariance_nm2.slice(s![modes.clone(), modes]);
+        let covariance_nm2 = found.modes.covariance_nm2.slice(s![modes.clone(), modes]);
         let variances_nm2 = response.dot(&covariance_nm2).dot(&response.t()).into_diag();
-        let residual_nm = if case.group == Group::Ncpa { &residual.ncpa_nm } else { &residual.phasing_nm };
+        let residual_nm = if case.group == Group::Ncpa { &residual.maps.ncpa_nm } else { &residual.maps.phasing_nm };
         let error_nm = means(petals, pupil, residual_nm.view());
         Ok(Self {
             is_in_wave: error_nm.iter().all(|nm| nm.abs() < case.scene.image.wavelength_nm / 4.0),

@@ -119,8 +119,8 @@ fn row_draws(row: &PullRow, place: usize, seeds: usize, progress: &Progress) -> 
         };
         Ok(PullDraw {
             residual_nm: [residual.rms_nm[0], residual.rms_nm[1]],
-            sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
-            seconds: found.model_seconds + found.seconds,
+            sigma_nm: [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm],
+            seconds: found.run.model_seconds + found.run.seconds,
             is_flagged: !found.is_sound(),
         })
     };

@@ -44,7 +44,7 @@ impl Work<'_> {
         let (excess, shapes) = self.with_case(fitted, cache, |case, found| {
             Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
         })?;
-        let (pixels, images) = (pixels_of(fitted), fitted.fit.1.used_images.len().max(1) as f64);
+        let (pixels, images) = (pixels_of(fitted), fitted.fit.1.used().max(1) as f64);
         let left = Left {
             pixels,
             images,

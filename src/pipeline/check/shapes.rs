@@ -45,7 +45,7 @@ pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
 /// χ² against another: its gain is 0.
 pub(super) fn noise(fitted: &Fitted) -> Option<Finding> {
     let found = &fitted.fit.1;
-    let used = found.used_images.iter().filter_map(|&image| found.images.get(image));
+    let used = found.combined.used_images.iter().filter_map(|&image| found.images.get(image));
     let (small, all) = used.fold((0, 0), |(small, all), image| (small + usize::from(image.is_too_small()), all + 1));
     let chi2 = found.reduced_chi2();
     (2 * small > all).then(|| Finding {
@@ -70,7 +70,7 @@ pub(super) fn photometry(scene: &Scene, fitted: &Fitted, has_fault_of_focus: boo
         (Verdict::Agrees, "2 pixels per λ/D hold all frequencies of an image")
     };
     findings.push(Finding { scene: Some(sampling), ..Finding::new(CheckedQuantity::Sampling, verdict, text) });
-    if let Some(report) = found.used_images.first().and_then(|&image| found.images.get(image)) {
+    if let Some(report) = found.combined.used_images.first().and_then(|&image| found.images.get(image)) {
         findings.push(Finding {
             scene: Some(scene.image.background_e),
             found: Some(report.background_e),

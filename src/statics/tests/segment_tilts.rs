@@ -66,8 +66,8 @@ fn tilts_are_estimated_where_they_are_significant() {
     let (pupil, truth) = (&tilted.0.telescope().pupil, tilted.0.truth());
     let left_nm = |found: &Iteration| {
         [
-            residual_nm(pupil, found.phasing_nm.view(), truth.phasing_nm.view()).unwrap(),
-            residual_nm(pupil, found.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
+            residual_nm(pupil, found.maps.phasing_nm.view(), truth.phasing_nm.view()).unwrap(),
+            residual_nm(pupil, found.maps.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
         ]
     };
     let [never, adopted, always] = [TiltSelection::Never, TiltSelection::WhereSignificant, TiltSelection::Always]
@@ -75,7 +75,8 @@ fn tilts_are_estimated_where_they_are_significant() {
     assert!(!never.has_tilts() && adopted.segment_tilts.unwrap().is_significant());
     assert!(always.segment_tilts.is_none());
     // The same wavefronts, and so the same estimate, to what the loop moves by when it is taken to be at rest.
-    let apart = adopted.coefficients_nm().into_iter().zip(always.coefficients_nm()).map(|(a, b)| (a - b).abs());
+    let apart =
+        adopted.modes().coefficients_nm.into_iter().zip(always.modes().coefficients_nm).map(|(a, b)| (a - b).abs());
     assert!(apart.fold(0.0, f64::max) < 0.1);
 
     // Smooth shapes of many segments are in no image behind the loop; what the loop leaves of the errors is.
@@ -83,7 +84,7 @@ fn tilts_are_estimated_where_they_are_significant() {
     let true_nm = coefficients_of(&truth.phasing_nm, pupil);
     let columns = segment_columns(&tilted);
     let mut behind_loop_nm = |found: &Iteration| {
-        let mut found_nm = found.coefficients_nm()[..found.errors.segment_modes()].to_vec();
+        let mut found_nm = found.modes().coefficients_nm[..found.errors.segment_modes()].to_vec();
         found_nm.resize(21, 0.0);
         let mut wavefront_nm = |nm: &[f64]| ArrayView1::from(nm).dot(&columns) + response.response_nm(nm).unwrap();
         rms_without_plane(&(wavefront_nm(&found_nm) - wavefront_nm(&true_nm)), &tilted.1.samples)
@@ -102,9 +103,9 @@ fn tilts_are_estimated_where_they_are_significant() {
 
     // Maps, names and covariance are those of pistons, tips, tilts and NCPA.
     let names = adopted.mode_names();
-    assert_eq!((names.len(), names[7].as_str()), (adopted.coefficients_nm().len(), "segment-00-tip"));
+    assert_eq!((names.len(), names[7].as_str()), (adopted.modes().coefficients_nm.len(), "segment-00-tip"));
     assert_eq!(adopted.errors.covariance_nm2.dim(), (names.len(), names.len()));
-    let segments_nm = &adopted.coefficients_nm()[..21];
+    let segments_nm = &adopted.modes().coefficients_nm[..21];
     let maps = SegmentModes::PistonTipTilt.maps(pupil).unwrap().maps();
     let phasing_nm = segments_nm
         .iter()
@@ -112,8 +113,13 @@ fn tilts_are_estimated_where_they_are_significant() {
         .fold(Array2::<f64>::zeros(pupil.amplitude.dim()), |sum, (nm, map)| sum + &(&map * *nm));
     // The whole mirror has no piston, tip and tilt by convention: taking them out changes a map by rounding of some 100 nm.
     let flat_nm = pupil.remove_piston_tip_tilt(phasing_nm.view()).unwrap();
-    let lit =
-        pupil.owner.iter().zip(&flat_nm).zip(&phasing_nm).zip(&adopted.phasing_nm).filter(|(((o, _), _), _)| **o >= 0);
+    let lit = pupil
+        .owner
+        .iter()
+        .zip(&flat_nm)
+        .zip(&phasing_nm)
+        .zip(&adopted.maps.phasing_nm)
+        .filter(|(((o, _), _), _)| **o >= 0);
     assert!(lit.clone().all(|(((_, flat), nm), found)| (flat - nm).abs() < 1e-6 && (found - nm).abs() < 1e-9));
     // Nor has it error bars: the mean piston's are rounding of variances of some 100 nm².
     let areas = pupil.segment_areas();
@@ -179,8 +185,8 @@ fn segments_without_tilts_have_the_estimate_of_pistons() {
         .map(|tilts| estimated(&plain, AoKnowledge::Telemetry, tilts));
     assert!(!auto.segment_tilts.unwrap().is_significant() && !auto.has_tilts(), "{:?}", auto.segment_tilts);
     assert_eq!(
-        (auto.coefficients_nm(), auto.errors.covariance_nm2.clone()),
-        (never.coefficients_nm(), never.errors.covariance_nm2.clone())
+        (auto.modes().coefficients_nm, auto.errors.covariance_nm2.clone()),
+        (never.modes().coefficients_nm, never.errors.covariance_nm2.clone())
     );
 }
 
@@ -191,7 +197,8 @@ fn tilts_that_are_not_there_cost_little() {
     let [never, always] =
         [TiltSelection::Never, TiltSelection::Always].map(|tilts| estimated(&plain, AoKnowledge::Telemetry, tilts));
     let left_nm = |found: &Iteration| {
-        residual_nm(&plain.0.telescope().pupil, found.phasing_nm.view(), plain.0.truth().phasing_nm.view()).unwrap()
+        residual_nm(&plain.0.telescope().pupil, found.maps.phasing_nm.view(), plain.0.truth().phasing_nm.view())
+            .unwrap()
     };
     println!("{:.2} {:.2} {:.2?}", left_nm(&never), left_nm(&always), always.errors.prior_rms_nm);
     assert!(left_nm(&always) < 1.5 * left_nm(&never), "{} {}", left_nm(&always), left_nm(&never));
@@ -204,7 +211,8 @@ fn tilts_are_estimated_behind_an_unknown_loop() {
     let [never, adopted] = [TiltSelection::Never, TiltSelection::WhereSignificant]
         .map(|tilts| estimated(&tilted, AoKnowledge::Spectrum, tilts));
     let left_nm = |found: &Iteration| {
-        residual_nm(&tilted.0.telescope().pupil, found.phasing_nm.view(), tilted.0.truth().phasing_nm.view()).unwrap()
+        residual_nm(&tilted.0.telescope().pupil, found.maps.phasing_nm.view(), tilted.0.truth().phasing_nm.view())
+            .unwrap()
     };
     println!("{:.2} {:.2}", left_nm(&never), left_nm(&adopted));
     assert!(adopted.has_tilts() && left_nm(&adopted) < 0.7 * left_nm(&never));

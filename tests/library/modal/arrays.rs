@@ -93,13 +93,18 @@ fn a_caller_s_telescope_and_modes_are_read_back() {
     // An image without noise is no image of electrons, and is flagged.
     assert!(found.images[0].status == Status::Misfit && found.images[0].is_too_small());
     // Without noise all that is left is where the fit stops: no coefficient would move by more than 1e-3 nm.
-    let errors: Vec<f64> = found.combined.coefficients_nm.iter().zip(truth).map(|(nm, truth)| nm - truth).collect();
+    let errors: Vec<f64> =
+        found.combined.modes.coefficients_nm.iter().zip(truth).map(|(nm, truth)| nm - truth).collect();
     println!("errors {errors:?} nm in {} evaluations", found.images[0].evaluations);
     assert!(errors.iter().all(|error| error.abs() < 2e-3), "{errors:?}");
     // A map of the modes is what the caller's own matrix makes of the coefficients.
     let (x, y) = (10, 20);
     let expected: f64 = truth.iter().zip(own(48).modes.unwrap().outer_iter()).map(|(nm, mode)| nm * mode[[y, x]]).sum();
-    assert!((found.ncpa_nm[[y, x]] - expected).abs() < 1e-2, "{} against {expected}", found.ncpa_nm[[y, x]]);
+    assert!(
+        (found.combined.maps.ncpa_nm[[y, x]] - expected).abs() < 1e-2,
+        "{} against {expected}",
+        found.combined.maps.ncpa_nm[[y, x]]
+    );
 }
 
 #[test]
@@ -158,7 +163,7 @@ fn arrays_and_files_are_the_same_model() {
     let made = source::simulate(&plain).unwrap();
     let (a, b) = (fit(&of_arrays, &made.images_e), fit(&of_files, &made.images_e));
     // Both stop within 1e-3 nm of one minimum.
-    let (a, b) = (&a.combined.coefficients_nm, &b.combined.coefficients_nm);
+    let (a, b) = (&a.combined.modes.coefficients_nm, &b.combined.modes.coefficients_nm);
     assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-3), "{a:?} and {b:?}");
 }
 
@@ -232,7 +237,7 @@ fn zero_and_duplicate_modes_are_in_the_degeneracy_report() {
     let psf =
         Array2::from_shape_vec((96, 96), estimator.reference_chain().psf(ArrayView1::from(&[50.0, 0.0, -30.0, 0.0])));
     let found = fit(&estimator, &(psf.unwrap() * 1e6).insert_axis(Axis(0)));
-    let nm = &found.combined.coefficients_nm;
+    let nm = &found.combined.modes.coefficients_nm;
     // What the images see is found: the first mode, and the sum of the two that are one.
     assert!((nm[0] - 50.0).abs() < 2e-3 && (nm[2] + nm[3] + 30.0).abs() < 4e-3, "{nm:?}");
     let report = found.degeneracy.to_string();

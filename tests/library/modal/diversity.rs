@@ -59,7 +59,7 @@ fn diversity_error_is_in_the_error_bars_of_any_sequence() {
         assert!((more_nm2 - along_nm[i] * along_nm[j]).abs() < 1e-9, "{i} {j}: {more_nm2}");
     }
     let (sure_nm, unsure_nm) = (sure.estimate().unwrap(), unsure.estimate().unwrap());
-    assert_eq!(sure_nm.combined.coefficients_nm, unsure_nm.combined.coefficients_nm);
+    assert_eq!(sure_nm.modes.coefficients_nm, unsure_nm.modes.coefficients_nm);
     let expected_nm = sure_nm.ncpa_sigma_nm.hypot(shared_nm);
     assert!((unsure_nm.ncpa_sigma_nm / expected_nm - 1.0).abs() < 0.05, "{} {expected_nm}", unsure_nm.ncpa_sigma_nm);
     // What averages out is wanted at half of what it is: three times as many images again.

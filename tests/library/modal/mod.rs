@@ -45,7 +45,11 @@ const EXPLAINED_SNR: (&str, &str) = ("image.peak_snr", "200");
 /// Residuals of phasing and NCPA, nm.
 fn residuals(estimator: &ModalFitter, estimate: &ModalEstimate, made: &SourceImages) -> [f64; 2] {
     let pupil = &estimator.model().telescope.pupil;
-    [(&estimate.phasing_nm, &made.truth.phasing_nm), (&estimate.ncpa_nm, &made.truth.ncpa_nm)].map(|(found, truth)| {
+    [
+        (&estimate.combined.maps.phasing_nm, &made.truth.phasing_nm),
+        (&estimate.combined.maps.ncpa_nm, &made.truth.ncpa_nm),
+    ]
+    .map(|(found, truth)| {
         let difference: Array2<f64> = found - truth;
         pupil.rms(pupil.remove_piston_tip_tilt(difference.view()).unwrap().view()).unwrap()
     })
@@ -54,7 +58,8 @@ fn residuals(estimator: &ModalFitter, estimate: &ModalEstimate, made: &SourceIma
 /// What the error bars promise for both maps, nm (tip and tilt kept, so a little more than the residuals).
 fn promised(estimator: &ModalFitter, estimate: &ModalEstimate) -> [f64; 2] {
     let pupil = &estimator.model().telescope.pupil;
-    [&estimate.phasing_sigma_nm, &estimate.ncpa_sigma_nm]
+    let sigma_maps = &estimate.combined.sigma_maps;
+    [&sigma_maps.phasing_nm, &sigma_maps.ncpa_nm]
         .map(|map| pupil.rms(map.mapv(|v| if v.is_nan() { 0.0 } else { v }).view()).unwrap())
 }
 
@@ -179,7 +184,7 @@ fn a_sequence_averages_and_leaves_out_what_it_cannot_use() {
     let (_, all) = estimate(&scene, &made.images_e, &bad);
     let one =
         estimate(&scene, &made.images_e.slice(s![..1, .., ..]).to_owned(), &bad.slice(s![..1, .., ..]).to_owned()).1;
-    let ratio = all.combined.sigma_nm()[0] / one.combined.sigma_nm()[0];
+    let ratio = all.combined.modes.sigma_nm()[0] / one.combined.modes.sigma_nm()[0];
     // √6 fewer, but for the scatter of six draws (a quarter or so) where that is larger.
     assert!(ratio > 0.9 / 6f64.sqrt() && ratio < 1.6 / 6f64.sqrt(), "{ratio}");
     made.images_e.index_axis_mut(Axis(0), 2).fill(4.0);
@@ -205,15 +210,18 @@ fn segment_tip_and_tilt_are_found() {
     assert_eq!(found.images[0].status, Status::Ok, "{:?}", found.images[0]);
     // Segments that tip and tilt can imitate focus and astigmatism closely: the sum is what the image fixes.
     let pupil = &estimator.model().telescope.pupil;
-    let total: Array2<f64> = &found.phasing_nm + &found.ncpa_nm - &made.truth.phasing_nm - &made.truth.ncpa_nm;
+    let total: Array2<f64> =
+        &found.combined.maps.phasing_nm + &found.combined.maps.ncpa_nm - &made.truth.phasing_nm - &made.truth.ncpa_nm;
     let residual = pupil.rms(pupil.remove_piston_tip_tilt(total.view()).unwrap().view()).unwrap();
     println!("sum of both maps: {residual:.3} nm");
     // 27 modes at the bound of this image (about 0.1 nm), and the difference of a map sampled at edges.
     assert!(residual < 1.0, "{residual}");
     // The tip and tilt of all segments together are those of the NCPA, which span them: the phasing has none, and no warning is
     // needed. What is left of a plane that the pistons were off by is rounding.
-    let flat = pupil.remove_piston_tip_tilt(found.phasing_nm.view()).unwrap();
-    let plane = pupil.rms((&found.phasing_nm - &flat).mapv(|nm| if nm.is_nan() { 0.0 } else { nm }).view()).unwrap();
+    let flat = pupil.remove_piston_tip_tilt(found.combined.maps.phasing_nm.view()).unwrap();
+    let plane = pupil
+        .rms((&found.combined.maps.phasing_nm - &flat).mapv(|nm| if nm.is_nan() { 0.0 } else { nm }).view())
+        .unwrap();
     assert!(plane < 1e-6, "{plane} nm");
     let null = &found.degeneracy.null;
     assert!(null.len() == 3 && null.iter().all(|direction| estimator.is_global_motion(direction)), "{null:?}");
@@ -226,7 +234,7 @@ fn the_same_input_gives_the_same_bits() {
     assert_eq!(a.images_e, b.images_e);
     let bad = a.images_e.mapv(|_| false);
     let (x, y) = (estimate(&scene, &a.images_e, &bad).1, estimate(&scene, &b.images_e, &bad).1);
-    assert_eq!(x.combined.coefficients_nm, y.combined.coefficients_nm);
+    assert_eq!(x.combined.modes.coefficients_nm, y.combined.modes.coefficients_nm);
     // And an image alone gives what it gave in company.
     let alone =
         estimate(&scene, &a.images_e.slice(s![1.., .., ..]).to_owned(), &bad.slice(s![1.., .., ..]).to_owned()).1;

@@ -77,12 +77,12 @@ fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
     let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    let at = |value: f64| read(&own.with(&[(&optic.key(), &value.to_string())]).unwrap()).1.combined;
+    let at = |value: f64| read(&own.with(&[(&optic.key(), &value.to_string())]).unwrap()).1.combined.modes;
     // The modes of two plate scales, which are taken for known, forty error bars either way: the samplings of models that are
     // nearer to each other differ by as much (0.01 nm).
     let known = at(optic.value);
     let [below, above] = [-40.0, 40.0].map(|sigmas| at(optic.value + sigmas * optic.sigma).coefficients_nm);
-    let more_nm2 = (&fitted.combined.covariance_nm2 - &known.covariance_nm2).diag().to_vec();
+    let more_nm2 = (&fitted.combined.modes.covariance_nm2 - &known.covariance_nm2).diag().to_vec();
     let moved_nm: Vec<f64> = below.iter().zip(&above).map(|(below, above)| (above - below) / 80.0).collect();
     let largest = moved_nm.iter().fold(0.0f64, |most, nm| most.max(nm.abs()));
     assert!(largest > 0.005, "{moved_nm:?}: the plate scale moves nothing");

@@ -106,9 +106,9 @@ fn error_bars_of_a_sequence_are_the_errors() {
         let (estimator, found) = fit(ours(), &made.images_e);
         // No turbulence like this can be fitted, and none of these images is wrong.
         assert!(found.images.iter().all(|image| image.status == Status::Misfit), "{:?}", found.status());
-        assert!(found.used() + found.clipped_images.len() == 24 && found.clipped_images.len() <= 2);
+        assert!(found.used() + found.combined.clipped_images.len() == 24 && found.combined.clipped_images.len() <= 2);
         for (square, how) in squares.iter_mut().zip(hows) {
-            let combined = estimator.combine_subset(&found, &every(&found), how).unwrap().combined;
+            let combined = estimator.combine_subset(&found, &every(&found), how).unwrap().modes;
             let errors = combined.coefficients_nm.iter().zip(&made.truth_nm).map(|(found, truth)| found - truth);
             *square += errors.zip(combined.sigma_nm()).map(|(error, sigma)| (error / sigma).powi(2)).sum::<f64>();
         }
@@ -142,15 +142,18 @@ fn outlier_images_are_named_and_clipped() {
     println!("{words:?} {chi2:?}");
     assert_eq!(words[3], "wrong-minimum");
     assert!((0..12).filter(|i| ![3, 8].contains(i)).all(|i| words[i] == "misfit"), "{words:?}");
-    assert!(found.clipped_images.contains(&3) && found.clipped_images.contains(&8), "{:?}", found.clipped_images);
+    assert!(
+        found.combined.clipped_images.contains(&3) && found.combined.clipped_images.contains(&8),
+        "{:?}",
+        found.combined.clipped_images
+    );
     let worst = |of: &[f64]| {
-        of.iter().zip(&clean.combined.coefficients_nm).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()))
+        of.iter().zip(&clean.combined.modes.coefficients_nm).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()))
     };
     let mean = estimator.combine_subset(&found, &every(&found), Combine::Mean).unwrap();
     let median = estimator.combine_subset(&found, &every(&found), Combine::Median).unwrap();
     assert_eq!((mean.used_images.len(), mean.clipped_images.len()), (12, 0));
-    let [clipped, mean, median] =
-        [&found.combined, &mean.combined, &median.combined].map(|c| worst(&c.coefficients_nm));
+    let [clipped, mean, median] = [&found.combined, &mean, &median].map(|c| worst(&c.modes.coefficients_nm));
     println!("from the clean mean: clipped {clipped:.1} nm, mean {mean:.1} nm, median {median:.1} nm");
     // Two of twelve draw the mean by a sixth of what they are off, some 100 nm; without them it differs by the scatter of
     // 20 to 30 nm an image over √12, times √(2/10) for two images less; the median lies within its own error bar of 10.
@@ -162,18 +165,18 @@ fn subsets_are_combined_without_another_fit() {
     let made = Maker::new(3).sequence(10, 40.0);
     let (estimator, found) = fit(Recipe { combine: Combine::Mean, ..ours() }, &made.images_e);
     let all = estimator.combine_subset(&found, &every(&found), Combine::Mean).unwrap();
-    assert_eq!(all.combined.coefficients_nm, found.combined.coefficients_nm);
-    assert_eq!(all.combined.covariance_nm2, found.combined.covariance_nm2);
+    assert_eq!(all.modes.coefficients_nm, found.combined.modes.coefficients_nm);
+    assert_eq!(all.modes.covariance_nm2, found.combined.modes.covariance_nm2);
     let lit = |map: &ndarray::Array2<f64>| map.iter().filter(|nm| !nm.is_nan()).copied().collect::<Vec<f64>>();
-    assert_eq!(lit(&all.phasing_nm), lit(&found.phasing_nm));
-    assert_eq!(lit(&all.ncpa_sigma_nm), lit(&found.ncpa_sigma_nm));
+    assert_eq!(lit(&all.maps.phasing_nm), lit(&found.combined.maps.phasing_nm));
+    assert_eq!(lit(&all.sigma_maps.ncpa_nm), lit(&found.combined.sigma_maps.ncpa_nm));
     // An image alone is itself, and so is the median of two their mean.
     let one = estimator.combine_subset(&found, &[4], Combine::Median).unwrap();
     let row = found.image_coefficients_nm.row(4).to_vec();
-    assert!(one.combined.coefficients_nm.iter().zip(&row).all(|(a, b)| (a - b).abs() < 1e-9));
+    assert!(one.modes.coefficients_nm.iter().zip(&row).all(|(a, b)| (a - b).abs() < 1e-9));
     // The error bar of three is that of the ten, by the root of their number.
     let three = estimator.combine_subset(&found, &[0, 5, 9], Combine::Mean).unwrap();
-    let ratios = three.combined.sigma_nm().into_iter().zip(found.combined.sigma_nm()).map(|(a, b)| a / b);
+    let ratios = three.modes.sigma_nm().into_iter().zip(found.combined.modes.sigma_nm()).map(|(a, b)| a / b);
     assert!(ratios.into_iter().all(|ratio| (ratio - (10f64 / 3.0).sqrt()).abs() < 1e-9));
     assert!(matches!(estimator.combine_subset(&found, &[10], Combine::Mean), Err(Error::Value(_))));
     assert!(matches!(estimator.combine_subset(&found, &[], Combine::Mean), Err(Error::Image(_))));
@@ -186,9 +189,10 @@ fn noise_only_sequence_has_error_bars_of_its_fisher_matrix() {
     let made = source::simulate(&scene).unwrap();
     let (estimator, found) = fit(Recipe::from_scene(&scene), &made.images_e);
     assert!(found.mean_residual_chi2 < 1.1, "{}", found.mean_residual_chi2);
-    assert!(found.images.iter().all(|image| image.status == Status::Ok) && found.clipped_images.is_empty());
-    let bound = estimator.bound(Array1::from(found.combined.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
-    for (sigma, bound) in found.combined.sigma_nm().into_iter().zip(bound.diag()) {
+    assert!(found.images.iter().all(|image| image.status == Status::Ok) && found.combined.clipped_images.is_empty());
+    let bound =
+        estimator.bound(Array1::from(found.combined.modes.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
+    for (sigma, bound) in found.combined.modes.sigma_nm().into_iter().zip(bound.diag()) {
         // Never below the noise (2 %: the bound's weights are the model's), and above by what 12 draws scatter: 21 %, three
         // times.
         let ratio = sigma / (bound / 12.0).sqrt();
@@ -265,7 +269,7 @@ fn error_bars_of_many_bright_images_include_model_errors() {
         let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr)]);
         let made = source::simulate(&scene).unwrap();
         let (fitter, found) = fit_scene(&scene, &made.images_e);
-        let at = Array1::from(found.combined.coefficients_nm.clone());
+        let at = Array1::from(found.combined.modes.coefficients_nm.clone());
         let noise = fitter.bound(at.view(), made.flux_e, 0.0).unwrap();
         assert!(found.reduced_chi2() < 2.0 && found.mean_residual_chi2 > 2.0, "{}", found.mean_residual_chi2);
         let promised = super::promised(&fitter, &found);
@@ -275,7 +279,7 @@ fn error_bars_of_many_bright_images_include_model_errors() {
             assert!(residual < 1.8 * promised, "{peak_snr}: {residual} of {promised} nm");
         }
         // Without it the variances would be half as large.
-        assert!(found.combined.covariance_nm2.diag().sum() > 2.0 * noise.diag().sum() / 12.0);
+        assert!(found.combined.modes.covariance_nm2.diag().sum() > 2.0 * noise.diag().sum() / 12.0);
     }
 }
 

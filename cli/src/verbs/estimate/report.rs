@@ -25,7 +25,8 @@ fn report(name: &str, estimate: &Estimate) -> Result<String> {
         sections.push(html::section("Mirror", &html::mirror(&segments)));
     }
     sections.push(html::section("Maps", &maps(estimate)?));
-    for (number, image) in estimate.compared.iter().enumerate() {
+    let compared = estimate.modal().map_or(&[][..], |modal| &modal.compared);
+    for (number, image) in compared.iter().enumerate() {
         let heading = match estimate.channels.get(number) {
             Some(channel) => format!("First image of {channel}, its model and the residual"),
             None => "First image, its model and the residual".into(),
@@ -61,21 +62,21 @@ fn figures(estimate: &Estimate) -> String {
         if sigma_nm.is_finite() { format!("{rms_nm:.2} ± {sigma_nm:.2} nm") } else { format!("{rms_nm:.2} nm") }
     };
     let mut pairs = vec![
-        ("phasing RMS", figure(estimate.phasing)),
-        ("NCPA RMS", figure(estimate.ncpa)),
-        ("both RMS", figure(estimate.wavefront)),
+        ("phasing RMS", figure(estimate.figures.phasing)),
+        ("NCPA RMS", figure(estimate.figures.ncpa)),
+        ("both RMS", figure(estimate.figures.wavefront)),
         ("reduced χ²", format!("{:.3}", estimate.reduced_chi2)),
         ("images used", format!("{} of {}", estimate.used(), estimate.images.len())),
-        ("method", estimate.method().word().to_owned()),
+        ("method", estimate.method.word().to_owned()),
         ("wavelength", format!("{} nm", estimate.scene.image.wavelength_nm)),
         ("model", if estimate.model.is_empty() { "the scene's".into() } else { estimate.model.clone() }),
-        ("made", format!("in {:.1} s on {} in {}", estimate.seconds, estimate.device, estimate.precision.word())),
+        ("made", format!("in {:.1} s on {} in {}", estimate.run.seconds, estimate.run.device, estimate.run.precision)),
     ];
     if let Some((_, residual)) = &estimate.truth {
         let [phasing, ncpa, _] = residual.rms_nm;
         pairs.push(("residual against the truth", format!("{phasing:.2} nm phasing, {ncpa:.2} nm NCPA")));
     }
-    if let Some(map) = &estimate.map {
+    if let Some(map) = estimate.full_phase() {
         let knowledge = format!("{}, {}", map.ao_knowledge.word(), counted(map.iterations.len(), "iteration"));
         pairs.push(("AO knowledge", knowledge));
     }
@@ -89,7 +90,7 @@ fn of_segment(estimate: &Estimate, segment: usize, motion: &str) -> Option<[f64;
         rest.is_some_and(|(number, what)| what == motion && number.parse() == Ok(segment))
     };
     let mode = estimate.basis.names.iter().position(is_it)?;
-    Some([estimate.coefficients_nm[mode], estimate.covariance_nm2[[mode, mode]].max(0.0).sqrt()])
+    Some([estimate.modes.coefficients_nm[mode], estimate.modes.covariance_nm2[[mode, mode]].max(0.0).sqrt()])
 }
 
 fn segments(estimate: &Estimate) -> Vec<SegmentValue> {
@@ -104,15 +105,16 @@ fn segments(estimate: &Estimate) -> Vec<SegmentValue> {
 
 fn maps(estimate: &Estimate) -> Result<String> {
     let mut figures = vec![
-        html::map("Phasing", estimate.phasing_nm.view(), Colours::Diverging(0.0), "nm")?,
-        html::map("Phasing, error bar", estimate.phasing_sigma_nm.view(), Colours::Sequential, "nm")?,
-        html::map("NCPA", estimate.ncpa_nm.view(), Colours::Diverging(0.0), "nm")?,
-        html::map("NCPA, error bar", estimate.ncpa_sigma_nm.view(), Colours::Sequential, "nm")?,
+        html::map("Phasing", estimate.maps.phasing_nm.view(), Colours::Diverging(0.0), "nm")?,
+        html::map("Phasing, error bar", estimate.sigma_maps.phasing_nm.view(), Colours::Sequential, "nm")?,
+        html::map("NCPA", estimate.maps.ncpa_nm.view(), Colours::Diverging(0.0), "nm")?,
+        html::map("NCPA, error bar", estimate.sigma_maps.ncpa_nm.view(), Colours::Sequential, "nm")?,
     ];
     if let Some((_, residual)) = &estimate.truth {
-        for (title, map) in
-            [("Phasing, estimate less truth", &residual.phasing_nm), ("NCPA, estimate less truth", &residual.ncpa_nm)]
-        {
+        for (title, map) in [
+            ("Phasing, estimate less truth", &residual.maps.phasing_nm),
+            ("NCPA, estimate less truth", &residual.maps.ncpa_nm),
+        ] {
             figures.push(html::map(title, map.view(), Colours::Diverging(0.0), "nm")?);
         }
     }
@@ -145,7 +147,7 @@ fn segment_table(estimate: &Estimate, segments: &[SegmentValue]) -> String {
 }
 
 fn mode_table(estimate: &Estimate) -> String {
-    let modes = estimate.basis.names.iter().zip(&estimate.coefficients_nm).zip(estimate.sigma_nm());
+    let modes = estimate.basis.names.iter().zip(&estimate.modes.coefficients_nm).zip(estimate.modes.sigma_nm());
     let rows: Vec<Vec<String>> =
         modes.map(|((name, value), sigma_nm)| vec![name.clone(), nm(*value), nm(sigma_nm)]).collect();
     html::table(&["mode", "coefficient, nm", "error bar, nm"], 1, &rows, "none")

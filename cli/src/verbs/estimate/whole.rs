@@ -85,8 +85,8 @@ pub(super) fn conclude(
     if let Some(corrections) = corrections.as_ref().filter(|_| !arguments.json) {
         terminal.show(&format!("corrections: {}\n", corrections.summary()))?;
     }
-    if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {
-        terminal.show(&format!("\n{degeneracy}\n"))?;
+    if let Some(modal) = estimate.modal().filter(|_| arguments.verbose && !arguments.json) {
+        terminal.show(&format!("\n{}\n", modal.degeneracy))?;
     }
     let is_doubtful = arguments.strict && !estimate.is_sound();
     Ok(if is_doubtful { ExitCode::from(DOUBTFUL_STATUS) } else { ExitCode::SUCCESS })

@@ -115,7 +115,7 @@ impl Behind {
             run: None,
         };
         let fitted = Reader::new(Way::Paper, reader)?.fit(&sequence, &Progress::new(&|_, _| {}, progress.control()))?;
-        Ok(fitted.map(|estimate| [estimate.phasing_nm, estimate.ncpa_nm]))
+        Ok(fitted.map(|estimate| [estimate.combined.maps.phasing_nm, estimate.combined.maps.ncpa_nm]))
     }
 
     /// Residuals of the paper's way, which no row asks twice.
@@ -169,7 +169,7 @@ impl BeyondRow {
         let behind = Behind::of(Simulator::new(&before)?, progress)?;
         let reader = self.reader(&before)?;
         let found = behind.sequence.full_phase(&reader, before.image.count, progress)?;
-        let ours = self.corrected(&found.phasing_nm, conditions, seed, progress)?;
+        let ours = self.corrected(&found.maps.phasing_nm, conditions, seed, progress)?;
         let Some([phasing_nm, _]) = behind.paper_maps(&modal(&reader)?, before.image.count, progress)? else {
             return Err(Error::Image(format!("the paper's way found nothing behind the loop {first}")));
         };
@@ -211,10 +211,10 @@ impl BeyondRow {
         seed: usize,
         paper_nm: [f64; 2],
     ) -> Result<BeyondDraw> {
-        let Some(map) = &found.map else { return Err(Error::Internal("a sequence without iterations".into())) };
+        let Some(map) = found.full_phase() else { return Err(Error::Internal("a sequence without iterations".into())) };
         let first = &map.iterations[0];
-        let [phasing_nm, ncpa_nm] = behind.residuals_nm(&found.phasing_nm, &found.ncpa_nm)?;
-        let [first_phasing_nm, first_ncpa_nm] = behind.residuals_nm(&first.phasing_nm, &first.ncpa_nm)?;
+        let [phasing_nm, ncpa_nm] = behind.residuals_nm(&found.maps.phasing_nm, &found.maps.ncpa_nm)?;
+        let [first_phasing_nm, first_ncpa_nm] = behind.residuals_nm(&first.maps.phasing_nm, &first.maps.ncpa_nm)?;
         let iterations = map.iterations.len() as f64;
         let numbers = [
             count as f64,
@@ -222,14 +222,14 @@ impl BeyondRow {
             iterations,
             phasing_nm,
             ncpa_nm,
-            found.phasing.sigma_nm,
-            found.ncpa.sigma_nm,
+            found.figures.phasing.sigma_nm,
+            found.figures.ncpa.sigma_nm,
             found.reduced_chi2,
             first_phasing_nm,
             first_ncpa_nm,
             paper_nm[0],
             paper_nm[1],
-            found.seconds,
+            found.run.seconds,
             1e3 * map.retrieval_seconds / (count as f64 * iterations),
         ];
         Ok(BeyondDraw { row: self.name.to_string(), seed, numbers })

@@ -164,7 +164,7 @@ impl Bench {
 
 /// True pistons after the segments were moved by the opposite of their estimates, which come first among the modes.
 fn corrected(piston_nm: &[f64], estimate: &ModalEstimate) -> Vec<f64> {
-    piston_nm.iter().zip(&estimate.combined.coefficients_nm).map(|(truth, estimate)| truth - estimate).collect()
+    piston_nm.iter().zip(&estimate.combined.modes.coefficients_nm).map(|(truth, estimate)| truth - estimate).collect()
 }
 
 /// The aberrations of `scene`.

@@ -81,10 +81,14 @@ impl ModalDraw {
             seed,
             names: model.basis.names().to_vec(),
             groups,
-            estimate_nm: estimate.combined.coefficients_nm.clone(),
-            sigma_nm: estimate.combined.sigma_nm(),
+            estimate_nm: estimate.combined.modes.coefficients_nm.clone(),
+            sigma_nm: estimate.combined.modes.sigma_nm(),
             truth_nm,
-            residual_nm: reader.residuals_nm(sequence, estimate.phasing_nm.view(), estimate.ncpa_nm.view())?,
+            residual_nm: reader.residuals_nm(
+                sequence,
+                estimate.combined.maps.phasing_nm.view(),
+                estimate.combined.maps.ncpa_nm.view(),
+            )?,
         })
     }
 
@@ -138,8 +142,8 @@ fn picture(
             "residual {phasing:.1} nm phasing, {ncpa:.1} nm NCPA (the paper: {} and {}); maps without tip and tilt",
             PUBLISHED_NM[0], PUBLISHED_NM[1]
         )],
-        phasing: triple(&estimate.phasing_nm, &sequence.phasing_nm)?,
-        ncpa: triple(&estimate.ncpa_nm, &sequence.ncpa_nm)?,
+        phasing: triple(&estimate.combined.maps.phasing_nm, &sequence.phasing_nm)?,
+        ncpa: triple(&estimate.combined.maps.ncpa_nm, &sequence.ncpa_nm)?,
         bars: ModalBars {
             names: draw.names.iter().map(|name| short(name)).collect(),
             groups: draw.groups.iter().map(group).collect(),

@@ -7,7 +7,7 @@ use crate::reproduce::Progress;
 use crate::reproduce::on_sky::Sequence;
 use cophase::Result;
 use cophase::ao::Simulator;
-use cophase::pipeline::TruthMaps;
+use cophase::pipeline::StaticMaps;
 use cophase::scene::Scene;
 use cophase::{Estimator, Images};
 use ndarray::{Array2, Axis, concatenate, s};
@@ -51,7 +51,7 @@ pub(super) fn verdict(mismatch: Mismatch, seed: usize, progress: &Progress) -> R
         Mismatch::FlippedImages => flipped(&made.images_e, Axis(2)),
         _ => made.images_e,
     };
-    let truth = TruthMaps { phasing_nm: made.phasing_nm, ncpa_nm: made.ncpa_nm };
+    let truth = StaticMaps { phasing_nm: made.phasing_nm, ncpa_nm: made.ncpa_nm };
     let slopes_mas = Some(mismatched(made.slopes_mas, mismatch));
     let images = Images { slopes_mas, truth: Some(truth), ..Images::new(images_e) };
     Verdict::of(Estimator::new(&scene)?.estimate(&images), |found| Ok(Verdict::by_maps(found)))

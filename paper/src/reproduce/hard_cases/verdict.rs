@@ -108,7 +108,7 @@ impl Verdict {
         let status = found.status.word();
         Self {
             word: Cow::Borrowed(if status == OK && !found.warnings.is_empty() { "warned" } else { status }),
-            sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
+            sigma_nm: [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm],
             reduced_chi2: found.reduced_chi2,
             evaluations: found.evaluations(),
             ..Self::REFUSED
@@ -121,7 +121,9 @@ impl Verdict {
         // What cannot be compared, because it is of another telescope, is not right.
         let against = |flip: Option<Axis>| {
             let behind = Behind::new(&made.truth, &fitter.model().telescope.pupil, flip);
-            behind.and_then(|behind| errors_nm(fitter, &found.coefficients_nm, &behind)).unwrap_or([f64::INFINITY; 3])
+            behind
+                .and_then(|behind| errors_nm(fitter, &found.modes.coefficients_nm, &behind))
+                .unwrap_or([f64::INFINITY; 3])
         };
         let [phasing_nm, ncpa_nm, ncpa_but_diversity_nm] = against(None);
         let mut verdict = Self { error_nm: [phasing_nm, ncpa_nm], ncpa_but_diversity_nm, ..Self::own_figures(found) };
@@ -199,7 +201,8 @@ impl Behind {
 }
 
 fn fitter(found: &Estimate) -> Result<&ModalFitter> {
-    found.fitter.as_deref().ok_or_else(|| Error::Internal("a modal estimate has no fitter".into()))
+    let modal = found.modal().ok_or_else(|| Error::Internal("the estimate is not modal".into()))?;
+    Ok(&modal.fitter)
 }
 
 /// Residuals of phasing, of NCPA, and of NCPA less the best multiple of the diversity, nm; the last is NaN where the modes
@@ -230,11 +233,12 @@ fn errors_nm(fitter: &ModalFitter, coefficients_nm: &[f64], behind: &Behind) -> 
 /// Largest difference of two estimates of an image, nm; NaN where their modes differ.
 pub(super) fn apart_nm(one: &Estimate, other: &Estimate) -> f64 {
     let Ok(fitter) = fitter(one) else { return f64::NAN };
-    if one.coefficients_nm.len() != other.coefficients_nm.len() {
+    if one.modes.coefficients_nm.len() != other.modes.coefficients_nm.len() {
         return f64::NAN;
     }
-    let near_nm = nearest(fitter, &one.coefficients_nm, &other.coefficients_nm[..fitter.model().segment_modes]);
-    near_nm.iter().zip(&other.coefficients_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    let near_nm =
+        nearest(fitter, &one.modes.coefficients_nm, &other.modes.coefficients_nm[..fitter.model().segment_modes]);
+    near_nm.iter().zip(&other.modes.coefficients_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 /// The coefficients with each piston moved by the whole wavelengths that no monochromatic image can tell.

@@ -83,15 +83,15 @@ impl FullPhaseReading {
             Err(Error::Image(_)) => return Ok(Self::none()),
             Err(error) => return Err(error),
         };
-        let map = found.map.as_ref();
+        let map = found.full_phase();
         Ok(Self {
-            residuals_nm: reader.residuals_nm(sequence, found.phasing_nm.view(), found.ncpa_nm.view())?,
-            sigmas_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
+            residuals_nm: reader.residuals_nm(sequence, found.maps.phasing_nm.view(), found.maps.ncpa_nm.view())?,
+            sigmas_nm: [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm],
             used: found.used(),
             iterations: map.map_or(0, |map| map.iterations.len()),
             reduced_chi2: found.reduced_chi2,
             slope_gain: map.and_then(|map| map.telemetry.as_ref()).map_or(f64::NAN, |check| check.gain),
-            seconds: found.seconds,
+            seconds: found.run.seconds,
         })
     }
 }
