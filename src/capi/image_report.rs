@@ -5,7 +5,7 @@ use super::status::{
     COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
     COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
 };
-use crate::modal::{ImageResult, Status};
+use crate::modal::{ImageReport, ImageResult, Status};
 use crate::optimize::StopReason;
 use crate::pipeline::{ImageOutcome, ImageStatus};
 
@@ -46,55 +46,49 @@ pub struct cophase_image_report {
 
 impl cophase_image_report {
     pub(super) fn from_session(result: &ImageResult, channel: usize, is_used: bool) -> Self {
-        let report = &result.report;
+        Self {
+            is_used: is_used.into(),
+            seconds: result.seconds,
+            channel: channel as i64,
+            ..Self::new(&result.report, COPHASE_POLICY_REALTIME)
+        }
+    }
+
+    pub(super) fn from_estimate(image: &ImageOutcome, policy: i32) -> Self {
+        Self {
+            is_used: image.is_used.into(),
+            is_clipped: image.is_clipped.into(),
+            channel: image.channel as i64,
+            ..Self::new(&image.report, policy)
+        }
+    }
+
+    /// That of an image which was not combined with others.
+    fn new(report: &ImageReport, policy: i32) -> Self {
         let [tip_nm, tilt_nm] = report.tip_tilt_nm;
         Self {
             status: number(&report.status),
-            is_used: is_used.into(),
+            is_used: 0,
             is_clipped: 0,
             bad_pixels: i32::try_from(report.bad_pixels).unwrap_or(i32::MAX),
             rejected_pixels: i32::try_from(report.rejected.total()).unwrap_or(i32::MAX),
-            policy: COPHASE_POLICY_REALTIME,
+            policy,
             evaluations: report.evaluations as u64,
             reduced_chi2: report.reduced_chi2,
             flux_e: report.flux_e,
             background_e: report.background_e,
             tip_nm,
             tilt_nm,
-            seconds: result.seconds,
-            channel: channel as i64,
-        }
-    }
-
-    pub(super) fn from_estimate(image: &ImageOutcome, policy: i32) -> Self {
-        let [tip_nm, tilt_nm] = image.tip_tilt_nm;
-        Self {
-            status: outcome_number(image.status),
-            is_used: image.is_used.into(),
-            is_clipped: image.is_clipped.into(),
-            bad_pixels: i32::try_from(image.bad_pixels).unwrap_or(i32::MAX),
-            rejected_pixels: i32::try_from(image.rejected.total()).unwrap_or(i32::MAX),
-            policy,
-            evaluations: image.evaluations as u64,
-            reduced_chi2: image.reduced_chi2,
-            flux_e: image.flux_e,
-            background_e: image.background_e,
-            tip_nm,
-            tilt_nm,
             seconds: f64::NAN,
-            channel: image.channel as i64,
+            channel: 0,
         }
     }
 }
 
 pub(super) fn number(status: &Status) -> i32 {
     match status {
-        Status::Ok => COPHASE_IMAGE_OK,
-        Status::Misfit => COPHASE_IMAGE_MISFIT,
-        Status::WrongMinimum => COPHASE_IMAGE_WRONG_MINIMUM,
         Status::NotConverged(StopReason::DeadlineReached) => COPHASE_IMAGE_DEADLINE,
-        Status::NotConverged(_) => COPHASE_IMAGE_NOT_CONVERGED,
-        Status::Unusable(_) => COPHASE_IMAGE_UNUSABLE,
+        status => outcome_number(status.kind()),
     }
 }
 

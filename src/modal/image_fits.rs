@@ -4,7 +4,7 @@ use super::engine::{FitState, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::prepare::{PreparedFrame, Refusal};
-use super::status::{ImageReport, Status, assess_all, unfitted_report};
+use super::status::{ImageReport, Status, assess_all};
 use crate::optimize::StopReason;
 use ndarray::{Array2, ArrayView1};
 
@@ -51,7 +51,7 @@ impl FittedCube {
         minima.iter_mut().for_each(|minimum| fitter.motions.remove(&mut minimum.coefficients_nm));
         // Reports of images that were not fitted first; those of fitted images then take their places.
         let unfitted = |refused: &Option<Refusal>| {
-            unfitted_report(refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable))
+            ImageReport::unfitted(refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable))
         };
         let mut reports: Vec<ImageReport> = refused.iter().map(unfitted).collect();
         let mut coefficients_nm = Array2::from_elem((reports.len(), fitter.model.optics.modes()), f64::NAN);

@@ -85,11 +85,15 @@ impl Preparation {
     /// # Errors
     /// [`Error::Shape`] for a frame of another size than the scene's, [`Error::Image`] for one without a star.
     pub fn prepare(&self, frame: Frame, recipe: &Recipe) -> Result<PreparedFrame> {
+        self.attempt(frame, recipe)?.map_err(|refusal| Error::Image(refusal.to_string()))
+    }
+
+    /// As [`Preparation::prepare`], with the reason why a frame cannot be used.
+    pub(crate) fn attempt(&self, frame: Frame, recipe: &Recipe) -> Result<std::result::Result<PreparedFrame, Refusal>> {
         self.check(frame)?;
         let mut prepared = self.empty();
         let outcome = Preparer::new(*self).prepare(frame, recipe, Ringing::Accepted, &mut prepared);
-        outcome.map_err(|refusal| Error::Image(refusal.to_string()))?;
-        Ok(prepared)
+        Ok(outcome.map(|()| prepared))
     }
 
     /// Native pixels to a model pixel, by area.

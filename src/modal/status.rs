@@ -133,11 +133,11 @@ fn expected(chi2: &ReducedChi2, deviations: f64) -> f64 {
 pub struct ImageReport {
     /// Status.
     pub status: Status,
-    /// Evaluations of objective and gradient.
+    /// Evaluations of objective and gradient; of a MAP retrieval, in its last iteration.
     pub evaluations: usize,
-    /// χ² per degree of freedom.
+    /// χ² per degree of freedom; NaN for an image that could not be used.
     pub reduced_chi2: f64,
-    /// Smallest and largest χ² per degree of freedom that noise explains.
+    /// Smallest and largest χ² per degree of freedom that noise explains; NaN for an image that no modes were fitted to.
     pub explained_chi2: [f64; 2],
     /// Largest χ² per degree of freedom that noise and the error of a finely sampled model explain.
     pub(crate) expected_chi2: f64,
@@ -145,9 +145,10 @@ pub struct ImageReport {
     pub(crate) suspicious_chi2: f64,
     /// Electrons of the star.
     pub flux_e: f64,
-    /// Electrons per native pixel.
+    /// Background, electrons per pixel of the frame.
     pub background_e: f64,
-    /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the pupil.
+    /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the pupil; NaN for an image that no modes
+    /// were fitted to.
     pub tip_tilt_nm: [f64; 2],
     /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
@@ -156,6 +157,23 @@ pub struct ImageReport {
 }
 
 impl ImageReport {
+    /// The report on an image that was not fitted.
+    pub(crate) fn unfitted(status: Status) -> Self {
+        Self {
+            status,
+            evaluations: 0,
+            reduced_chi2: f64::NAN,
+            explained_chi2: [f64::NAN; 2],
+            expected_chi2: f64::NAN,
+            suspicious_chi2: f64::NAN,
+            flux_e: f64::NAN,
+            background_e: f64::NAN,
+            tip_tilt_nm: [f64::NAN; 2],
+            bad_pixels: 0,
+            rejected: RejectedPixels::default(),
+        }
+    }
+
     /// Whether χ² is smaller than noise explains.
     pub fn is_too_small(&self) -> bool {
         self.reduced_chi2 < self.explained_chi2[0]
@@ -196,8 +214,8 @@ impl ModalFitter {
     pub(super) fn reports(&self, fits: &[ImageFit]) -> Vec<ImageReport> {
         let report = |fit: &ImageFit| match fit.state {
             FitState::Fitted => assess(&self.model, &self.tilts, &fit.prepared, &fit.minimum),
-            FitState::Refused(refusal) => unfitted_report(Status::Unusable(refusal)),
-            FitState::NotBegun => unfitted_report(Status::NotConverged(StopReason::Unfinished)),
+            FitState::Refused(refusal) => ImageReport::unfitted(Status::Unusable(refusal)),
+            FitState::NotBegun => ImageReport::unfitted(Status::NotConverged(StopReason::Unfinished)),
         };
         let mut reports: Vec<ImageReport> = fits.iter().map(report).collect();
         assess_together(&mut reports);
@@ -263,23 +281,6 @@ pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, min
         tip_tilt_nm: tilts.tip_tilt_nm(&minimum.coefficients_nm, prepared.shift_pixels),
         bad_pixels: prepared.bad_pixels,
         rejected: rejection::kinds(prepared, &model.preparation),
-    }
-}
-
-/// The report on an image that was not fitted.
-pub(super) fn unfitted_report(status: Status) -> ImageReport {
-    ImageReport {
-        status,
-        evaluations: 0,
-        reduced_chi2: f64::NAN,
-        explained_chi2: [f64::NAN; 2],
-        expected_chi2: f64::NAN,
-        suspicious_chi2: f64::NAN,
-        flux_e: f64::NAN,
-        background_e: f64::NAN,
-        tip_tilt_nm: [f64::NAN; 2],
-        bad_pixels: 0,
-        rejected: RejectedPixels::default(),
     }
 }
 

@@ -288,7 +288,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
         figures: Figures::new(&first.pupil, &found.maps, sigma_nm)?,
         pupil: first.pupil.clone(),
         error_budget: vec![ErrorTerm { name, phasing_nm: sigma_nm[0], ncpa_nm: sigma_nm[1] }],
-        reduced_chi2: median(&used.map(|image| image.reduced_chi2).collect::<Vec<_>>()),
+        reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
         status: each.iter().map(|one| one.status).max().unwrap_or(first.status),
         is_sequence,

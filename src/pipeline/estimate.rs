@@ -313,7 +313,7 @@ impl Estimate {
 
     /// Evaluations of objective and gradient, all images together.
     pub fn evaluations(&self) -> usize {
-        self.images.iter().map(|image| image.evaluations).sum()
+        self.images.iter().map(|image| image.report.evaluations).sum()
     }
 
     /// Residual against the aberrations that simulated images were made with.

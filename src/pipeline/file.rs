@@ -124,15 +124,15 @@ fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let name = |image: &ImageOutcome| estimate.channels.get(image.channel).map_or("", String::as_str);
     let channel = Column::text("CHANNEL", images.iter().map(name));
     let columns = [
-        Column::text("STATUS", images.iter().map(|image| image.status.word())),
-        Column::i64("EVALUATIONS", integers(&|image| image.evaluations as i64)),
-        Column::f64("CHI2", "", reals(&|image| image.reduced_chi2)),
-        Column::f64("FLUX_E", ELECTRON, reals(&|image| image.flux_e)),
-        Column::f64("BACKGROUND_E", ELECTRON, reals(&|image| image.background_e)),
-        Column::f64("TIP_NM", "nm", reals(&|image| image.tip_tilt_nm[0])),
-        Column::f64("TILT_NM", "nm", reals(&|image| image.tip_tilt_nm[1])),
-        Column::i64("BAD_PIXELS", integers(&|image| image.bad_pixels as i64)),
-        Column::i64("REJECTED_PIXELS", integers(&|image| image.rejected.total() as i64)),
+        Column::text("STATUS", images.iter().map(|image| image.report.status.word())),
+        Column::i64("EVALUATIONS", integers(&|image| image.report.evaluations as i64)),
+        Column::f64("CHI2", "", reals(&|image| image.report.reduced_chi2)),
+        Column::f64("FLUX_E", ELECTRON, reals(&|image| image.report.flux_e)),
+        Column::f64("BACKGROUND_E", ELECTRON, reals(&|image| image.report.background_e)),
+        Column::f64("TIP_NM", "nm", reals(&|image| image.report.tip_tilt_nm[0])),
+        Column::f64("TILT_NM", "nm", reals(&|image| image.report.tip_tilt_nm[1])),
+        Column::i64("BAD_PIXELS", integers(&|image| image.report.bad_pixels as i64)),
+        Column::i64("REJECTED_PIXELS", integers(&|image| image.report.rejected.total() as i64)),
         Column::i64("USED", integers(&|image| i64::from(image.is_used))),
     ];
     let channel = if estimate.channels.is_empty() { None } else { Some(channel) };

@@ -267,12 +267,12 @@ impl FrameEstimate {
             coefficients_nm: places.iter().map(|&mode| estimate.modes.coefficients_nm[mode]).collect(),
             covariance_nm2: estimate.modes.covariance_nm2.select(Axis(0), &places).select(Axis(1), &places),
             reduced_chi2: estimate.reduced_chi2,
-            flux_e: estimate.images.iter().find(|image| image.is_used).map_or(f64::NAN, |image| image.flux_e),
+            flux_e: estimate.images.iter().find(|image| image.is_used).map_or(f64::NAN, |image| image.report.flux_e),
             background_e: estimate
                 .images
                 .iter()
                 .find(|image| image.is_used)
-                .map_or(f64::NAN, |image| image.background_e),
+                .map_or(f64::NAN, |image| image.report.background_e),
             tip_tilt_nm: mean_tip_tilt_nm(estimate),
             status: estimate.status,
             refusal,
@@ -285,6 +285,6 @@ impl FrameEstimate {
 /// Mean over the images that an estimate is from; NaN for none.
 fn mean_tip_tilt_nm(estimate: &Estimate) -> [f64; 2] {
     let used: Vec<[f64; 2]> =
-        estimate.images.iter().filter(|image| image.is_used).map(|image| image.tip_tilt_nm).collect();
+        estimate.images.iter().filter(|image| image.is_used).map(|image| image.report.tip_tilt_nm).collect();
     [0, 1].map(|axis| used.iter().map(|pair| pair[axis]).sum::<f64>() / used.len() as f64)
 }

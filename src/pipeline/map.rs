@@ -11,9 +11,9 @@ use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{remarks, warnings};
 use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
 use crate::control::{Control, Stage};
-use crate::modal::ImageStatus;
+use crate::modal::{ImageReport, ImageStatus, Status};
 use crate::modes::Group;
-use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};
+use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange, RetrievalReport};
 use crate::scene::{AoKnowledge, Scene, SensorScene, Telemetry};
 use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::statistics::upper_median;
@@ -119,7 +119,7 @@ pub(super) fn estimate(
     let explained = if is_searched { OPTICS_SEARCH_CHI2 } else { EXPLAINED };
     let excess = |outcome: &ImageOutcome| {
         let ratio = if is_searched { 1.0 } else { excess_ratio(sequence.channels[outcome.channel].scene) };
-        (outcome.reduced_chi2 - 1.0) / ratio
+        (outcome.report.reduced_chi2 - 1.0) / ratio
     };
     let excess: Vec<f64> = outcomes.iter().filter(|outcome| outcome.is_used).map(excess).collect();
     let is_misfit = last.reduced_chi2 < LEAST_EXPLAINED || upper_median(&excess) > explained - 1.0;
@@ -223,29 +223,31 @@ fn outcomes(sequence: &Sequence, found: &SequenceResult, last: &Iteration) -> Ve
 }
 
 fn outcome(found: &SequenceResult, image: usize, is_used: bool) -> ImageOutcome {
-    let report = &found.reports[image];
-    let status = match &report.refusal {
-        Some(_) => ImageStatus::Unusable,
-        None if report.reason.has_converged() => ImageStatus::Ok,
-        None => ImageStatus::NotConverged,
+    let RetrievalReport { reduced_chi2, evaluations, reason, flux_e, background_e, refusal, .. } = found.reports[image];
+    let status = match refusal {
+        Some(refusal) => Status::Unusable(refusal),
+        None if reason.has_converged() => Status::Ok,
+        None => Status::NotConverged(reason),
     };
     let how = if is_used { "used" } else { "left out, its χ² differs from the others'" };
+    let message = match refusal {
+        Some(refusal) => format!("left out, {refusal}"),
+        None => format!("{how}; reduced χ² {reduced_chi2:.2}, {reason}"),
+    };
+    let rejected = found.rejected[image];
     ImageOutcome {
-        channel: 0,
-        status,
-        message: match &report.refusal {
-            Some(refusal) => format!("left out, {refusal}"),
-            None => format!("{how}; reduced χ² {:.2}, {}", report.reduced_chi2, report.reason),
+        report: ImageReport {
+            evaluations,
+            reduced_chi2,
+            flux_e,
+            background_e,
+            rejected,
+            ..ImageReport::unfitted(status)
         },
+        channel: 0,
+        message,
         is_used,
-        is_clipped: !is_used && status != ImageStatus::Unusable,
-        evaluations: report.evaluations,
-        reduced_chi2: report.reduced_chi2,
-        flux_e: report.flux_e,
-        background_e: report.background_e,
-        tip_tilt_nm: [f64::NAN; 2],
-        bad_pixels: 0,
-        rejected: found.rejected[image],
+        is_clipped: !is_used && refusal.is_none(),
     }
 }
 

@@ -32,8 +32,12 @@ impl Fitted {
             unit_remark(&scene)?,
         ];
         let Combination { used_images, clipped_images, .. } = &found.combined;
-        let outcomes = found.images.iter().enumerate().map(|(image, report)| {
-            ImageOutcome::from_modal(report, used_images.contains(&image), clipped_images.contains(&image))
+        let outcomes = found.images.iter().enumerate().map(|(image, report)| ImageOutcome {
+            report: *report,
+            channel: 0,
+            message: report.sentence(),
+            is_used: used_images.contains(&image),
+            is_clipped: clipped_images.contains(&image),
         });
         Ok(Estimate {
             policy: *policy,

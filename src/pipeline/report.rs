@@ -102,8 +102,8 @@ fn quality(estimate: &Estimate) -> String {
     if is_notable && estimate.full_phase().is_some() {
         text += " (above 1 by turbulence that is too fine or too fast to be retrieved; a misfit would be a warning)";
     }
-    let masked = pixels(&|image| image.bad_pixels);
-    let rejected = estimate.images.iter().fold(RejectedPixels::default(), |all, image| all.and(image.rejected));
+    let masked = pixels(&|image| image.report.bad_pixels);
+    let rejected = estimate.images.iter().fold(RejectedPixels::default(), |all, image| all.and(image.report.rejected));
     if masked > 0 {
         text += &format!(", {} masked", counted(masked, "pixel"));
     }

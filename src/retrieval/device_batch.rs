@@ -9,7 +9,7 @@ use super::settings::RetrievalSettings;
 use super::task::RetrievalTask;
 use super::workspace::RetrievalWorkspace;
 use crate::imaging::{Chain, Evaluation, Exposure, Polynomial};
-use crate::modal::PreparedFrame;
+use crate::modal::{PreparedFrame, Refusal};
 use crate::optimize::Advance;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 const OPTIMISATION_BYTES: usize = 512 << 20;
 
 /// Takes the result of an image, or the reason why it is unusable.
-pub(super) type Store<'a> = dyn FnMut(usize, std::result::Result<RetrievedImage, String>) + 'a;
+pub(super) type Store<'a> = dyn FnMut(usize, std::result::Result<RetrievedImage, Refusal>) + 'a;
 
 /// A chain that evaluates batches.
 pub(super) struct DeviceBatch {
@@ -85,7 +85,7 @@ impl<T: Polynomial> RetrievalWorkspace<T> {
         &self,
         task: &RetrievalTask,
         image: usize,
-    ) -> Result<std::result::Result<(PreparedFrame, MapOptimisation<T>), String>> {
+    ) -> Result<std::result::Result<(PreparedFrame, MapOptimisation<T>), Refusal>> {
         let mut prepared = match (task.prepare)(image)? {
             Ok(prepared) => prepared,
             Err(refusal) => return Ok(Err(refusal)),

@@ -1,10 +1,11 @@
 //! Results of MAP retrievals: wavefront and report of each image.
 
+use crate::modal::Refusal;
 use crate::optimize::StopReason;
 use ndarray::{Array2, ArrayViewMut1, Axis};
 
 /// Report of one image's retrieval.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RetrievalReport {
     /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an unusable image.
     pub reduced_chi2: f64,
@@ -20,11 +21,12 @@ pub struct RetrievalReport {
     /// Background, electrons per pixel.
     pub background_e: f64,
     /// Reason why the image is unusable.
-    pub refusal: Option<String>,
+    pub refusal: Option<Refusal>,
 }
 
 impl RetrievalReport {
-    fn refused(refusal: String) -> Self {
+    /// That of an image without a wavefront.
+    fn unfinished(refusal: Option<Refusal>) -> Self {
         Self {
             reduced_chi2: f64::NAN,
             reduced_objective: f64::NAN,
@@ -32,7 +34,7 @@ impl RetrievalReport {
             reason: StopReason::Unfinished,
             flux_e: f64::NAN,
             background_e: f64::NAN,
-            refusal: Some(refusal),
+            refusal,
         }
     }
 }
@@ -79,7 +81,7 @@ impl RetrievedWavefronts {
             ln_amplitudes: unknown(amplitudes),
             blur_e: vec![Vec::new(); images],
             coordinates: vec![Vec::new(); images],
-            reports: vec![RetrievalReport::refused(String::new()); images],
+            reports: vec![RetrievalReport::unfinished(None); images],
         }
     }
 
@@ -97,7 +99,7 @@ impl RetrievedWavefronts {
     }
 
     /// Stores the result of an image, or the reason why it is unusable.
-    pub(super) fn store(&mut self, image: usize, result: Result<RetrievedImage, String>) {
+    pub(super) fn store(&mut self, image: usize, result: Result<RetrievedImage, Refusal>) {
         ImageResultMut {
             wavefront_nm: self.wavefront_nm.row_mut(image),
             coefficients_nm: self.coefficients_nm.row_mut(image),
@@ -122,9 +124,9 @@ pub(super) struct ImageResultMut<'a> {
 
 impl ImageResultMut<'_> {
     /// Stores a result, or the reason why the image is unusable.
-    pub(super) fn store(mut self, result: Result<RetrievedImage, String>) {
+    pub(super) fn store(mut self, result: Result<RetrievedImage, Refusal>) {
         match result {
-            Err(refusal) => *self.report = RetrievalReport::refused(refusal),
+            Err(refusal) => *self.report = RetrievalReport::unfinished(Some(refusal)),
             Ok(image) => {
                 self.wavefront_nm.iter_mut().zip(image.wavefront_nm).for_each(|(out, nm)| *out = nm);
                 self.coefficients_nm.iter_mut().zip(image.coefficients_nm).for_each(|(out, nm)| *out = nm);

@@ -240,11 +240,7 @@ impl Retriever {
         let read_noise_e = cube.read_noise_e.or(self.read_noise_e);
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
-        let prepare = |image: usize| match self.model.preparation.prepare(frames[image], &self.recipe) {
-            Ok(prepared) => Ok(Ok(prepared)),
-            Err(Error::Image(refusal)) => Ok(Err(refusal)),
-            Err(error) => Err(error),
-        };
+        let prepare = |image: usize| self.model.preparation.attempt(frames[image], &self.recipe);
         let parts = self.model.optics.parts();
         let amplitudes = if self.settings.segment_amplitude_rms > 0.0 { parts.weights.segments } else { 0 };
         let sizes = [parts.weights.illuminated.len(), parts.modes.len(), amplitudes];

@@ -3,10 +3,10 @@
 use super::static_wavefront::StaticWavefront;
 use crate::Result;
 use crate::control::Control;
-use crate::modal::PreparedFrame;
+use crate::modal::{PreparedFrame, Refusal};
 
 /// A prepared image, or the reason why it is unusable.
-pub(super) type PreparedImage = std::result::Result<PreparedFrame, String>;
+pub(super) type PreparedImage = std::result::Result<PreparedFrame, Refusal>;
 
 /// The images to retrieve, and the static wavefront about which they are retrieved.
 pub(super) struct RetrievalTask<'a> {

@@ -25,8 +25,8 @@ fn expected(estimate: &Estimate) -> Vec<String> {
     let mut lines: Vec<String> =
         coefficients.map(|((name, nm), sigma)| format!("coefficient {name} {} {}", bits(*nm), bits(*sigma))).collect();
     for (index, image) in estimate.images.iter().enumerate() {
-        let status = image.status.word().to_uppercase().replace('-', "_");
-        let (chi2, rejected, channel) = (bits(image.reduced_chi2), image.rejected.total(), image.channel);
+        let status = image.report.status.word().to_uppercase().replace('-', "_");
+        let (chi2, rejected, channel) = (bits(image.report.reduced_chi2), image.report.rejected.total(), image.channel);
         lines.push(format!("image {index} {status} {chi2} {rejected} {channel}"));
     }
     lines.extend(estimate.channels.iter().map(|name| format!("channel {name}")));
@@ -110,7 +110,7 @@ fn images_of_one_channel(command: Command) {
     let images = images(&scene);
     let found =
         Estimator::new(&Scene::from_text(scene.text(), Path::new("")).unwrap()).unwrap().estimate(&images).unwrap();
-    assert_eq!(found.images[1].rejected.total(), 1, "the hot pixel");
+    assert_eq!(found.images[1].report.rejected.total(), 1, "the hot pixel");
     assert!(found.warnings.iter().any(|warning| warning.starts_with("1 pixel is not finite")), "{:?}", found.warnings);
     compare(command, &scene, (&images.images_e, 3), (None, None), &found);
 }

@@ -88,7 +88,7 @@ fn a_session_agrees_with_the_estimate() {
         assert!(off < 0.25, "{off}");
         assert!(ratios[0] > 0.85 && ratios[1] < 1.15, "{ratios:?}");
         for (image, fit) in found.images.iter().zip(fits(&session)) {
-            assert_eq!(image.evaluations, fit.report.evaluations);
+            assert_eq!(image.report.evaluations, fit.report.evaluations);
         }
         refines_to(&session, &found);
         assert!(session.warnings().is_empty(), "{:?}", session.warnings());

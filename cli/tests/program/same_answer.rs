@@ -114,7 +114,9 @@ fn of_rust(estimate: &Estimate) -> Vec<String> {
     let images = estimate.images.iter();
     lines(
         estimate.basis.names.iter().zip(numbers),
-        images.map(|image| (image.status.word().into(), image.reduced_chi2, image.rejected.total() as i64)),
+        images.map(|image| {
+            (image.report.status.word().into(), image.report.reduced_chi2, image.report.rejected.total() as i64)
+        }),
         &estimate.warnings,
         (estimate.policy.name(), &estimate.run.device),
     )
@@ -225,7 +227,7 @@ fn hot_pixels() {
     case.images_e[[0, 30, 40]] += 1e6;
     case.images_e[[0, 60, 52]] += 1e6;
     let found = case.is_the_same_everywhere();
-    assert_eq!(found.images[0].rejected.total(), 2);
+    assert_eq!(found.images[0].report.rejected.total(), 2);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use super::super::prepare::{Frame, Preparation, PreparedFrame, Preparer, Refusal
 use super::super::recipe::Recipe;
 use super::super::residual::variance;
 use super::super::spread::Spread;
-use super::super::status::{Status, assess, unfitted_report};
+use super::super::status::{ImageReport, Status, assess};
 use super::super::tilts::Tilts;
 use super::options::{ImageResult, SessionOptions, write_start};
 use crate::control::Control;
@@ -90,7 +90,7 @@ impl SessionChannel {
         let fits = vec![ImageFit::new(&preparation, modes); options.capacity];
         let result = ImageResult {
             coefficients_nm: vec![f64::NAN; modes],
-            report: unfitted_report(Status::NotConverged(StopReason::Unfinished)),
+            report: ImageReport::unfitted(Status::NotConverged(StopReason::Unfinished)),
             seconds: 0.0,
         };
         let results = vec![result; options.capacity];

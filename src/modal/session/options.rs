@@ -2,7 +2,7 @@
 
 use super::super::integers::PistonInteger;
 use super::super::prepare::Refusal;
-use super::super::status::{ImageReport, Status, unfitted_report};
+use super::super::status::{ImageReport, Status};
 use crate::imaging::{Choice, Precision};
 use crate::optimize::StopReason;
 use crate::{Error, Result};
@@ -178,13 +178,13 @@ impl ImageResult {
     /// Records that the image cannot be used.
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.coefficients_nm.fill(f64::NAN);
-        self.report = unfitted_report(Status::Unusable(refusal));
+        self.report = ImageReport::unfitted(Status::Unusable(refusal));
     }
 
     /// Records that the fit did not begin before the deadline.
     pub(super) fn not_begun(&mut self, start_nm: &[f64]) {
         self.coefficients_nm.copy_from_slice(start_nm);
-        self.report = unfitted_report(Status::NotConverged(StopReason::DeadlineReached));
+        self.report = ImageReport::unfitted(Status::NotConverged(StopReason::DeadlineReached));
     }
 }
 
