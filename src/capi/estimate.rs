@@ -2,7 +2,7 @@
 
 use super::estimate_handle::{EstimateState, cophase_estimate};
 use super::handle::{Handle, find, give_back};
-use super::image_report::{cophase_image_report, outcome_number};
+use super::image_report::{cophase_image_report, number};
 use super::pointer::{place, put_array, put_text, text};
 use super::policy::policy_number;
 use super::sized::Outputs;
@@ -193,7 +193,7 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
             MethodResult::FullPhase(_) => COPHASE_METHOD_MAP,
         },
         policy: policy_number(&estimate.policy),
-        status: outcome_number(estimate.status),
+        status: number(&estimate.status),
         is_sequence: estimate.is_sequence.into(),
         iterations: map.map_or(0, |map| map.iterations.len() as i32),
         has_settled: map.is_none_or(|map| map.has_settled).into(),

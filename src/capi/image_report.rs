@@ -7,7 +7,7 @@ use super::status::{
 };
 use crate::modal::{ImageReport, ImageResult, Status};
 use crate::optimize::StopReason;
-use crate::pipeline::{ImageOutcome, ImageStatus};
+use crate::pipeline::ImageOutcome;
 
 /// Report on one image.
 #[allow(non_camel_case_types)] // a name of the header
@@ -87,17 +87,11 @@ impl cophase_image_report {
 
 pub(super) fn number(status: &Status) -> i32 {
     match status {
+        Status::Ok => COPHASE_IMAGE_OK,
+        Status::Misfit => COPHASE_IMAGE_MISFIT,
+        Status::WrongMinimum => COPHASE_IMAGE_WRONG_MINIMUM,
         Status::NotConverged(StopReason::DeadlineReached) => COPHASE_IMAGE_DEADLINE,
-        status => outcome_number(status.kind()),
-    }
-}
-
-pub(super) fn outcome_number(status: ImageStatus) -> i32 {
-    match status {
-        ImageStatus::Ok => COPHASE_IMAGE_OK,
-        ImageStatus::Misfit => COPHASE_IMAGE_MISFIT,
-        ImageStatus::WrongMinimum => COPHASE_IMAGE_WRONG_MINIMUM,
-        ImageStatus::NotConverged => COPHASE_IMAGE_NOT_CONVERGED,
-        ImageStatus::Unusable => COPHASE_IMAGE_UNUSABLE,
+        Status::NotConverged(_) => COPHASE_IMAGE_NOT_CONVERGED,
+        Status::Unusable(_) => COPHASE_IMAGE_UNUSABLE,
     }
 }

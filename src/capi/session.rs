@@ -339,8 +339,8 @@ pub unsafe extern "C" fn cophase_session_refine(
                 place(out, name)?;
             }
             let refined = working.session.refine(group)?;
-            let covariance_nm2 = refined.covariance_nm2.iter().copied().collect();
-            let values: [Vec<f64>; 2] = [refined.coefficients_nm.clone(), covariance_nm2];
+            let covariance_nm2 = refined.modes.covariance_nm2.iter().copied().collect();
+            let values: [Vec<f64>; 2] = [refined.modes.coefficients_nm.clone(), covariance_nm2];
             for ((out, name), values) in outputs.into_iter().zip(values).filter(|((out, _), _)| !out.is_null()) {
                 numbers_mut(out, values.len(), name)?.copy_from_slice(&values);
             }

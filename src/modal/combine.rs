@@ -14,7 +14,7 @@ use super::restart::is_same_minimum;
 use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
 use super::spread::Spread;
 use super::static_maps::StaticMaps;
-use super::status::{ImageReport, Selection, Status, worst};
+use super::status::{ImageReport, Selection, Status};
 use crate::imaging::Precision;
 use crate::modes::{Degeneracy, WEAK_BELOW};
 use crate::scene::Combine;
@@ -142,7 +142,7 @@ impl ModalEstimate {
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
         let [own, others] = [self, other].map(Self::reduced_chi2);
         let is_same = is_same_minimum(own, others);
-        if is_same { self.status().kind() < other.status().kind() } else { own < others || others.is_nan() }
+        if is_same { self.status().rank() < other.status().rank() } else { own < others || others.is_nan() }
     }
 
     /// Whether eight images or more converged: then they are assessed as a sequence, and error bars are from the scatter
@@ -153,7 +153,7 @@ impl ModalEstimate {
 
     /// The worst status among the images.
     pub fn status(&self) -> &Status {
-        worst(self.images.iter().map(|image| &image.status))
+        Status::worst(self.images.iter().map(|image| &image.status))
     }
 }
 
@@ -209,42 +209,47 @@ pub(super) fn combine(estimator: &ModalFitter, mut fitted: FittedCube) -> Result
     })
 }
 
-/// Combines some images of an estimate.
-pub(super) fn subset(
-    estimator: &ModalFitter,
-    estimate: &ModalEstimate,
-    images: &[usize],
-    how: Combine,
-) -> Result<Combination> {
-    let count = estimate.images.len();
-    let (modes, own) = (estimate.image_coefficients_nm.ncols(), estimator.model.optics.modes());
-    if modes != own {
-        return Err(Error::Shape(format!("the estimate has {modes} modes where its estimator has {own}")));
+impl ModalFitter {
+    /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of
+    /// images, or of another way to combine them.
+    ///
+    /// The images are combined as if there were no others, by the rules of [`Combine`] and [`Status`]; only the error bars
+    /// of fewer than eight are from the scatter of the whole estimate, over the root of their number.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for an image that does not exist, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
+    /// for an estimate of another model.
+    pub fn combine_subset(&self, estimate: &ModalEstimate, images: &[usize], how: Combine) -> Result<Combination> {
+        let count = estimate.images.len();
+        let (modes, own) = (estimate.image_coefficients_nm.ncols(), self.model.optics.modes());
+        if modes != own {
+            return Err(Error::Shape(format!("the estimate has {modes} modes where its estimator has {own}")));
+        }
+        if let Some(image) = images.iter().find(|&&image| image >= count) {
+            return Err(Error::Value(format!(
+                "image {image} does not exist: the estimate has {count} images, numbered from 0"
+            )));
+        }
+        let reports: Vec<&ImageReport> = images.iter().map(|&image| &estimate.images[image]).collect();
+        let coefficients_nm = estimate.image_coefficients_nm.select(Axis(0), images);
+        let Selection { used, clipped } = Selection::new(&reports, &coefficients_nm, how);
+        if used.is_empty() {
+            return Err(nothing_fitted(&reports));
+        }
+        let motions = &self.motions;
+        let used_nm = coefficients_nm.select(Axis(0), &used);
+        let single_nm2 = if is_sequence(&reports) {
+            motions.removed_from(&scatter(&used_nm, how, &estimate.single.noise_nm2))
+        } else {
+            estimate.single.scatter_nm2.clone()
+        };
+        let likelihood = CombinedModes {
+            coefficients_nm: centre(motions, &used_nm, how),
+            covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
+        };
+        let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
+        Combination::new(self, likelihood, images_of(&used), images_of(&clipped))
     }
-    if let Some(image) = images.iter().find(|&&image| image >= count) {
-        return Err(Error::Value(format!(
-            "image {image} does not exist: the estimate has {count} images, numbered from 0"
-        )));
-    }
-    let reports: Vec<&ImageReport> = images.iter().map(|&image| &estimate.images[image]).collect();
-    let coefficients_nm = estimate.image_coefficients_nm.select(Axis(0), images);
-    let Selection { used, clipped } = Selection::new(&reports, &coefficients_nm, how);
-    if used.is_empty() {
-        return Err(nothing_fitted(&reports));
-    }
-    let motions = &estimator.motions;
-    let used_nm = coefficients_nm.select(Axis(0), &used);
-    let single_nm2 = if is_sequence(&reports) {
-        motions.removed_from(&scatter(&used_nm, how, &estimate.single.noise_nm2))
-    } else {
-        estimate.single.scatter_nm2.clone()
-    };
-    let likelihood = CombinedModes {
-        coefficients_nm: centre(motions, &used_nm, how),
-        covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
-    };
-    let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
-    Combination::new(estimator, likelihood, images_of(&used), images_of(&clipped))
 }
 
 fn nothing_fitted(reports: &[&ImageReport]) -> Error {

@@ -1,6 +1,6 @@
 //! Modal estimate of a cube of images: every image fitted, outlier pixels rejected, wrong minima restarted, images combined.
 
-use super::combine::{self, Combination, ModalEstimate};
+use super::combine::{ModalEstimate, combine};
 use super::combined_modes::CombinedModes;
 use super::cube::Cube;
 use super::engine::{FitState, FitTask, ImageFit};
@@ -15,7 +15,6 @@ use super::sequence::SEQUENCE;
 use super::status::Status;
 use crate::control::{Control, Stage};
 use crate::imaging::Chain;
-use crate::scene::Combine;
 use crate::{Error, Result};
 use std::time::Instant;
 
@@ -71,7 +70,7 @@ impl ModalFitter {
     }
 
     fn combined(&self, chain: &Chain, fitted: FittedCube, started: Instant) -> Result<ModalEstimate> {
-        let mut estimate = combine::combine(self, fitted)?;
+        let mut estimate = combine(self, fitted)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
         estimate.device_failure = chain.failure().map(str::to_owned);
@@ -170,18 +169,5 @@ impl ModalFitter {
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         frames.iter().try_for_each(|frame| self.model.preparation.check(*frame))?;
         Ok(frames)
-    }
-
-    /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of
-    /// images, or of another way to combine them.
-    ///
-    /// The images are combined as if there were no others, by the rules of [`Combine`] and [`Status`]; only the error bars
-    /// of fewer than eight are from the scatter of the whole estimate, over the root of their number.
-    ///
-    /// # Errors
-    /// [`Error::Value`] for an image that does not exist, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
-    /// for an estimate of another model.
-    pub fn combine_subset(&self, estimate: &ModalEstimate, images: &[usize], how: Combine) -> Result<Combination> {
-        combine::subset(self, estimate, images, how)
     }
 }

@@ -99,4 +99,4 @@ pub use scene_fit::{OpenChain, estimate_scene, estimate_with};
 pub(crate) use scene_fit::{fitter_for, fitter_of};
 pub use session::{FitOptions, GroupResult, ImageResult, RefinedGroup, Session, SessionChannel, SessionOptions};
 pub use static_maps::StaticMaps;
-pub use status::{ImageReport, ImageStatus, Status};
+pub use status::{ImageReport, Status};

@@ -18,10 +18,11 @@ pub use options::{FitOptions, GroupResult, ImageResult, RefinedGroup, SessionOpt
 
 use super::channel_fitters::ChannelFitters;
 use super::combine::combine;
+use super::combined_modes::CombinedModes;
 use super::diversity_error::has_diversity;
 use super::image_fits::FittedCube;
 use super::joint::{contradict, joint};
-use super::status::worst;
+use super::status::Status;
 use crate::control::Control;
 use crate::scene::Weighting;
 use crate::{Error, Result};
@@ -162,7 +163,7 @@ impl Session {
             let channel = &self.channels[0];
             let covariance_nm2 = channel.covariance_nm2(group)?;
             let coefficients_nm = channel.results()[group].coefficients_nm.clone();
-            return Ok(RefinedGroup::of_one(coefficients_nm, covariance_nm2));
+            return Ok(RefinedGroup::of_one(CombinedModes { coefficients_nm, covariance_nm2 }));
         }
         if !self.results().get(group).is_some_and(|result| result.status.has_converged()) {
             return Err(Error::Value(format!(
@@ -182,8 +183,7 @@ impl Session {
         Ok(RefinedGroup {
             disagreement: joint.disagreement,
             is_contradictory: joint.is_contradictory(),
-            coefficients_nm: joint.modes.coefficients_nm,
-            covariance_nm2: joint.modes.covariance_nm2,
+            modes: joint.modes,
             integers: joint.integers,
         })
     }
@@ -248,7 +248,7 @@ impl Session {
         let (result, channels) = (&mut self.results[group], &self.channels);
         let images = channels.iter().map(|channel| &channel.results()[group]);
         result.seconds = images.clone().map(|image| image.seconds).sum();
-        result.status = *worst(images.map(|image| &image.report.status));
+        result.status = *Status::worst(images.map(|image| &image.report.status));
         result.disagreement = (f64::NAN, 0.0);
         match &mut self.combiner {
             None => result.coefficients_nm.copy_from_slice(&channels[0].results()[group].coefficients_nm),

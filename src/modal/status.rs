@@ -15,34 +15,6 @@ use crate::scene::Combine;
 use ndarray::{Array2, Axis};
 
 /// Whether an image was fitted, and how well.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum ImageStatus {
-    /// Fitted, and the model explains it.
-    Ok,
-    /// Fitted, but the residual is larger than the noise, or smaller.
-    Misfit,
-    /// The residual is so large that the fit is probably in a wrong minimum.
-    WrongMinimum,
-    /// The optimiser stopped before it converged.
-    NotConverged,
-    /// The image could not be used.
-    Unusable,
-}
-
-impl ImageStatus {
-    /// The word in files and JSON.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Ok => "ok",
-            Self::Misfit => "misfit",
-            Self::WrongMinimum => "wrong-minimum",
-            Self::NotConverged => "not-converged",
-            Self::Unusable => "unusable",
-        }
-    }
-}
-
-/// Status of one fit, with its reason: [`Status::kind`] without it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Status {
     /// Fitted, and the model explains it.
@@ -67,26 +39,32 @@ impl Status {
         matches!(self, Status::Ok | Status::Misfit | Status::WrongMinimum)
     }
 
-    /// The status without its reason.
-    pub fn kind(&self) -> ImageStatus {
+    /// The word in files and JSON.
+    pub fn word(&self) -> &'static str {
         match self {
-            Status::Ok => ImageStatus::Ok,
-            Status::Misfit => ImageStatus::Misfit,
-            Status::WrongMinimum => ImageStatus::WrongMinimum,
-            Status::NotConverged(_) => ImageStatus::NotConverged,
-            Status::Unusable(_) => ImageStatus::Unusable,
+            Status::Ok => "ok",
+            Status::Misfit => "misfit",
+            Status::WrongMinimum => "wrong-minimum",
+            Status::NotConverged(_) => "not-converged",
+            Status::Unusable(_) => "unusable",
         }
     }
 
-    /// The word in files and JSON.
-    pub fn word(&self) -> &'static str {
-        self.kind().word()
+    /// Place among the statuses, from the best, whatever the reason.
+    pub(super) fn rank(&self) -> usize {
+        match self {
+            Status::Ok => 0,
+            Status::Misfit => 1,
+            Status::WrongMinimum => 2,
+            Status::NotConverged(_) => 3,
+            Status::Unusable(_) => 4,
+        }
     }
-}
 
-/// The worst of some statuses; ok for none.
-pub(super) fn worst<'a>(statuses: impl Iterator<Item = &'a Status>) -> &'a Status {
-    statuses.max_by_key(|status| status.kind()).unwrap_or(&Status::Ok)
+    /// The worst of some statuses; ok for none.
+    pub(crate) fn worst<'a>(statuses: impl Iterator<Item = &'a Self>) -> &'a Self {
+        statuses.max_by_key(|status| status.rank()).unwrap_or(&Status::Ok)
+    }
 }
 
 /// Standard deviations of χ² from its expectation at which a fit is called a misfit. With 9,000 pixels one is 0.015. A right

@@ -11,7 +11,7 @@ use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
 use crate::control::{Control, Stage};
-use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, has_diversity, joint};
+use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, Status, has_diversity, joint};
 use crate::scene::{Optic, Scene, Sections, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -290,7 +290,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
         error_budget: vec![ErrorTerm { name, phasing_nm: sigma_nm[0], ncpa_nm: sigma_nm[1] }],
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
-        status: each.iter().map(|one| one.status).max().unwrap_or(first.status),
+        status: *Status::worst(each.iter().map(|one| &one.status)),
         is_sequence,
         model: first.model.clone(),
         optics: optics(&found, &names, &each),

@@ -7,7 +7,7 @@ use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
 use crate::imaging::Precision;
 use crate::loop_response::Corrections;
-use crate::modal::{CombinedModes, FittedImage, ImageStatus, ModalFitter, PistonInteger, StaticMaps};
+use crate::modal::{CombinedModes, FittedImage, ModalFitter, PistonInteger, StaticMaps, Status};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Scene};
@@ -45,7 +45,7 @@ pub struct Estimate {
     /// Names of the channels whose images it is from, in order; none for a scene with one way of imaging.
     pub channels: Vec<String>,
     /// Worst status of the images that the estimate depends on.
-    pub status: ImageStatus,
+    pub status: Status,
     /// Median reduced χ² of the images that were used.
     pub reduced_chi2: f64,
     /// Whether error bars are from the scatter between images, as from eight images on.
@@ -293,7 +293,7 @@ impl Estimate {
 
     /// Whether there is no warning, and the status is ok.
     pub fn is_sound(&self) -> bool {
-        self.warnings.is_empty() && self.status == ImageStatus::Ok
+        self.warnings.is_empty() && self.status == Status::Ok
     }
 
     /// Number of modes that move segments; they come first.
@@ -341,14 +341,13 @@ impl Estimate {
                 let modes = ModalErrors {
                     scene: &self.scene,
                     model: modal.fitter.model(),
-                    coefficients_nm: &self.modes.coefficients_nm,
-                    covariance_nm2: self.modes.covariance_nm2.view(),
+                    modes: &self.modes,
                     segment_limit_nm,
                 };
                 modes.corrections(limit_nm)?
             }
         };
-        let status = (self.status != ImageStatus::Ok).then(|| format!("the status is {}", self.status.word()));
+        let status = (self.status != Status::Ok).then(|| format!("the status is {}", self.status.word()));
         let said = status.into_iter().chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
         corrections.estimate_warnings = said.collect();
         // In the unit of the slopes that were measured.

@@ -13,7 +13,9 @@ use super::policy::Policy;
 use super::scene_files::check_for_estimate;
 use crate::control::Control;
 use crate::loop_response::Corrections;
-use crate::modal::{FittedImage, ImageStatus, ModalFitter, Session, SessionOptions, Status, check_frame_shape};
+use crate::modal::{
+    CombinedModes, FittedImage, ImageReport, ModalFitter, Session, SessionOptions, Status, check_frame_shape,
+};
 use crate::planner;
 use crate::scene::Scene;
 use crate::tracking::Correction;
@@ -38,21 +40,11 @@ enum Method {
 /// Estimate of one frame, of the modes of [`FrameEstimator::fitter`].
 #[derive(Debug, Clone)]
 pub struct FrameEstimate {
-    /// Coefficient of each mode, nm, pistons about their mean; NaN where there is no fit.
-    pub coefficients_nm: Vec<f64>,
-    /// Covariance of the coefficients, nm²; NaN where there is no fit.
-    pub covariance_nm2: Array2<f64>,
-    /// χ² per degree of freedom; NaN where there is no fit.
-    pub reduced_chi2: f64,
-    /// Electrons of the star; NaN where there is no fit.
-    pub flux_e: f64,
-    /// Electrons per native pixel; NaN where there is no fit.
-    pub background_e: f64,
-    /// Tip and tilt of the wavefront, with those of the whole pixels by which the image was moved, nm RMS over the pupil along x and y; the mean
-    /// of the images of the estimate. NaN where there is no fit.
-    pub tip_tilt_nm: [f64; 2],
-    /// Status of the fit.
-    pub status: ImageStatus,
+    /// The modes, with their covariance; NaN where there is no fit.
+    pub modes: CombinedModes,
+    /// Report on the fit. Of an estimate from several images it is that of the first that is used, with the status and the χ² of the
+    /// estimate, and the mean tip and tilt.
+    pub report: ImageReport,
     /// Why the numbers must not be used: a sentence; `None` where they may.
     pub refusal: Option<String>,
     /// Sentences that a user should read before using the numbers.
@@ -133,7 +125,7 @@ impl FrameEstimator {
     /// # Errors
     /// [`Error::Shape`] for another number of modes; [`Error::Value`] for segment modes that are not pistons.
     pub fn correction(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<Correction> {
-        self.errors(&self.checked(coefficients_nm, covariance_nm2)?, covariance_nm2).correction()
+        self.errors(&self.checked(coefficients_nm, covariance_nm2)?).correction()
     }
 
     /// Corrections of these modes, such as those of a tracked state, as [`Estimate::corrections`] makes them of an estimate.
@@ -145,7 +137,7 @@ impl FrameEstimator {
         coefficients_nm: ArrayView1<f64>,
         covariance_nm2: ArrayView2<f64>,
     ) -> Result<Corrections> {
-        self.errors(&self.checked(coefficients_nm, covariance_nm2)?, covariance_nm2).corrections(None)
+        self.errors(&self.checked(coefficients_nm, covariance_nm2)?).corrections(None)
     }
 
     /// What `corrections` change of the coefficients, nm, when they are applied.
@@ -156,18 +148,12 @@ impl FrameEstimator {
         change_by(&self.scene, self.fitter.model(), corrections)
     }
 
-    fn errors<'a>(&'a self, coefficients_nm: &'a [f64], covariance_nm2: ArrayView2<'a, f64>) -> ModalErrors<'a> {
+    fn errors<'a>(&'a self, modes: &'a CombinedModes) -> ModalErrors<'a> {
         let segment_limit_nm = self.scene.image.wavelength_nm / 4.0;
-        ModalErrors {
-            scene: &self.scene,
-            model: self.fitter.model(),
-            coefficients_nm,
-            covariance_nm2,
-            segment_limit_nm,
-        }
+        ModalErrors { scene: &self.scene, model: self.fitter.model(), modes, segment_limit_nm }
     }
 
-    fn checked(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<Vec<f64>> {
+    fn checked(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<CombinedModes> {
         let modes = self.fitter.model().basis.len();
         let (given, (rows, columns)) = (coefficients_nm.len(), covariance_nm2.dim());
         if [given, rows, columns] != [modes; 3] {
@@ -175,7 +161,7 @@ impl FrameEstimator {
                 "{given} modes with a covariance of {rows}x{columns} were given, where {modes} modes are needed"
             )));
         }
-        Ok(coefficients_nm.to_vec())
+        Ok(CombinedModes { coefficients_nm: coefficients_nm.to_vec(), covariance_nm2: covariance_nm2.to_owned() })
     }
 }
 
@@ -214,22 +200,17 @@ fn fit(
     let channel = &session.channels()[0];
     let result = channel.results()[0].clone();
     let report = result.report;
-    let compared = channel.fitted_image(0);
+    let covariance_nm2 = Array2::from_elem([result.coefficients_nm.len(); 2], f64::NAN);
     let mut estimate = FrameEstimate {
-        covariance_nm2: Array2::from_elem([result.coefficients_nm.len(); 2], f64::NAN),
-        coefficients_nm: result.coefficients_nm,
-        reduced_chi2: report.reduced_chi2,
-        flux_e: report.flux_e,
-        background_e: report.background_e,
-        tip_tilt_nm: report.tip_tilt_nm,
-        status: report.status.kind(),
+        modes: CombinedModes { coefficients_nm: result.coefficients_nm, covariance_nm2 },
+        report,
         refusal: None,
         warnings: images.notes.clone(),
-        compared,
+        compared: channel.fitted_image(0),
     };
     let saturated = estimate.compared.as_ref().and_then(|compared| saturation(compared, data_e, bad));
     match report.status {
-        Status::Ok | Status::Misfit => estimate.covariance_nm2 = session.refine(0)?.covariance_nm2,
+        Status::Ok | Status::Misfit => estimate.modes.covariance_nm2 = session.refine(0)?.modes.covariance_nm2,
         Status::WrongMinimum | Status::NotConverged(_) | Status::Unusable(_) => {
             // A cause says more than its effect on χ².
             estimate.refusal = saturated.clone().or_else(|| Some(report.sentence()));
@@ -257,34 +238,30 @@ impl FrameEstimate {
         };
         let places = fitter.model().basis.names().iter().map(place).collect::<Result<Vec<_>>>()?;
         let refusal = match estimate.status {
-            ImageStatus::Ok | ImageStatus::Misfit => None,
+            Status::Ok | Status::Misfit => None,
             status => Some(match estimate.images.first() {
                 Some(image) if estimate.images.len() == 1 => image.message.clone(),
                 _ => format!("the status of the estimate is {}", status.word()),
             }),
         };
+        let used: Vec<ImageReport> =
+            estimate.images.iter().filter(|image| image.is_used).map(|image| image.report).collect();
+        // NaN for none.
+        let mean = |axis: usize| used.iter().map(|report| report.tip_tilt_nm[axis]).sum::<f64>() / used.len() as f64;
         Ok(Self {
-            coefficients_nm: places.iter().map(|&mode| estimate.modes.coefficients_nm[mode]).collect(),
-            covariance_nm2: estimate.modes.covariance_nm2.select(Axis(0), &places).select(Axis(1), &places),
-            reduced_chi2: estimate.reduced_chi2,
-            flux_e: estimate.images.iter().find(|image| image.is_used).map_or(f64::NAN, |image| image.report.flux_e),
-            background_e: estimate
-                .images
-                .iter()
-                .find(|image| image.is_used)
-                .map_or(f64::NAN, |image| image.report.background_e),
-            tip_tilt_nm: mean_tip_tilt_nm(estimate),
-            status: estimate.status,
+            modes: CombinedModes {
+                coefficients_nm: places.iter().map(|&mode| estimate.modes.coefficients_nm[mode]).collect(),
+                covariance_nm2: estimate.modes.covariance_nm2.select(Axis(0), &places).select(Axis(1), &places),
+            },
+            report: ImageReport {
+                status: estimate.status,
+                reduced_chi2: estimate.reduced_chi2,
+                tip_tilt_nm: [mean(0), mean(1)],
+                ..used.first().copied().unwrap_or(ImageReport::unfitted(estimate.status))
+            },
             refusal,
             warnings: estimate.warnings.clone(),
             compared: estimate.modal().and_then(|modal| modal.compared.first()).cloned(),
         })
     }
-}
-
-/// Mean over the images that an estimate is from; NaN for none.
-fn mean_tip_tilt_nm(estimate: &Estimate) -> [f64; 2] {
-    let used: Vec<[f64; 2]> =
-        estimate.images.iter().filter(|image| image.is_used).map(|image| image.report.tip_tilt_nm).collect();
-    [0, 1].map(|axis| used.iter().map(|pair| pair[axis]).sum::<f64>() / used.len() as f64)
 }

@@ -11,7 +11,7 @@ use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{remarks, warnings};
 use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
 use crate::control::{Control, Stage};
-use crate::modal::{ImageReport, ImageStatus, Status};
+use crate::modal::{ImageReport, Status};
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange, RetrievalReport};
 use crate::scene::{AoKnowledge, Scene, SensorScene, Telemetry};
@@ -161,7 +161,7 @@ pub(super) fn estimate(
         images: outcomes,
         reduced_chi2: last.reduced_chi2,
         is_sequence: true,
-        status: if is_misfit { ImageStatus::Misfit } else { ImageStatus::Ok },
+        status: if is_misfit { Status::Misfit } else { Status::Ok },
         model: selected(last),
         optics: optics(&found),
         warnings: sentences,

@@ -46,7 +46,7 @@ impl Fitted {
             error_budget: error_budget(&errors, &fitter, &found)?,
             images: outcomes.collect(),
             channels: Vec::new(),
-            status: found.status().kind(),
+            status: *found.status(),
             reduced_chi2: found.reduced_chi2(),
             is_sequence: found.is_sequence(),
             model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),

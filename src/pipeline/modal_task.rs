@@ -6,7 +6,7 @@ use super::policy::Policy;
 use crate::Result;
 use crate::control::{Control, Stage};
 use crate::imaging::Chain;
-use crate::modal::{self, CombinedModes, Cube, FitSeries, ImageStatus, ModalFit, ModalFitter, ModelCache, Recipe};
+use crate::modal::{self, CombinedModes, Cube, FitSeries, ModalFit, ModalFitter, ModelCache, Recipe, Status};
 use crate::scene::Scene;
 use std::time::Instant;
 
@@ -38,7 +38,7 @@ pub(super) struct Fitted {
 impl Fitted {
     /// Whether the model explains every image.
     pub(super) fn is_explained(&self) -> bool {
-        self.fit.1.status().kind() == ImageStatus::Ok
+        *self.fit.1.status() == Status::Ok
     }
 }
 

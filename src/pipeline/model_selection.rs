@@ -10,7 +10,7 @@
 
 use super::policy::Policy;
 use crate::control::Control;
-use crate::modal::{ImageStatus, ModalEstimate, ModalFitter};
+use crate::modal::{ModalEstimate, ModalFitter, Status};
 use crate::scene::{ModelChoice, NcpaBasis, NollRange, Optic, Optimizer, Scene, Sections, SegmentModes};
 use crate::{Error, Result};
 
@@ -114,7 +114,7 @@ impl Fit {
         Self {
             reduced_chi2: found.images[image].reduced_chi2,
             parameters: fitter.model().basis.len() + fitter.fitted_optics().len(),
-            is_explained: found.images[image].status.kind() == ImageStatus::Ok,
+            is_explained: found.images[image].status == Status::Ok,
         }
     }
 

@@ -17,7 +17,7 @@ use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
 use crate::control::Control;
-use crate::modal::ImageStatus;
+use crate::modal::Status;
 use crate::pupil::Pupil;
 use crate::scene::{Scene, Setting};
 use crate::telescope::Telescope;
@@ -93,7 +93,7 @@ pub fn check_orientation(
     };
     let (rows, columns) = scene.image.frame_shape();
     let (mut found, mut quarter_turn) = (estimate(false)?, false);
-    if found.0.status != ImageStatus::Ok && rows == columns {
+    if found.0.status != Status::Ok && rows == columns {
         let other = estimate(true)?;
         if other.0.reduced_chi2 < BETTER_TURNED * found.0.reduced_chi2 {
             (found, quarter_turn) = (other, true);
@@ -113,7 +113,7 @@ pub fn check_orientation(
         other => return Ok(other),
     };
     for (name, estimate) in [("after", Some(&found.0)), ("before", found.1.as_ref())] {
-        if let Some(estimate) = estimate.filter(|estimate| estimate.status != ImageStatus::Ok) {
+        if let Some(estimate) = estimate.filter(|estimate| estimate.status != Status::Ok) {
             orientation.warnings.push(format!(
                 "the images {name} the poke are not explained (reduced χ² {:.1}, {}): their maps, and this answer, are less certain",
                 estimate.reduced_chi2,

@@ -3,7 +3,7 @@
 use super::estimate::{Estimate, Figure, Figures, MapSummary, OpticalParameter, Run};
 use super::images::counted;
 use super::telemetry::TelemetryCheck;
-use crate::modal::{ImageStatus, RejectedPixels};
+use crate::modal::{RejectedPixels, Status};
 use crate::scene::Combine;
 use std::fmt::Write;
 
@@ -98,7 +98,7 @@ const NOTABLE_CHI2: f64 = 1.1;
 fn quality(estimate: &Estimate) -> String {
     let pixels = |what: &dyn Fn(&super::ImageOutcome) -> usize| estimate.images.iter().map(what).sum::<usize>();
     let mut text = format!("Reduced χ² {:.3}", estimate.reduced_chi2);
-    let is_notable = estimate.status == ImageStatus::Ok && estimate.reduced_chi2 > NOTABLE_CHI2;
+    let is_notable = estimate.status == Status::Ok && estimate.reduced_chi2 > NOTABLE_CHI2;
     if is_notable && estimate.full_phase().is_some() {
         text += " (above 1 by turbulence that is too fine or too fast to be retrieved; a misfit would be a warning)";
     }

@@ -46,7 +46,7 @@ pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
     session.fit(COUNT, &FitOptions::default()).unwrap();
     let fitted: Vec<f64> = session.results().iter().flat_map(|result| result.coefficients_nm.clone()).collect();
     same("coefficients", &next(COUNT * modes), &fitted);
-    let covariance_nm2: Vec<f64> = session.refine(0).unwrap().covariance_nm2.into_iter().collect();
+    let covariance_nm2: Vec<f64> = session.refine(0).unwrap().modes.covariance_nm2.into_iter().collect();
     same("covariance", &next(modes * modes), &covariance_nm2);
 
     let points_nm = next(COUNT * modes);

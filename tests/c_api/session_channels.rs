@@ -73,7 +73,7 @@ fn expected(scene: &Scene, images: &[Images]) -> Vec<String> {
     };
     lines.push(joint(fit.is_contradictory, fit.disagreement));
     lines.extend(session.warnings().iter().map(|warning| format!("warning {warning}")));
-    let variances = refined.coefficients_nm.iter().zip(refined.covariance_nm2.diag().to_vec());
+    let variances = refined.modes.coefficients_nm.iter().zip(refined.modes.covariance_nm2.diag().to_vec());
     lines.extend(
         names.iter().zip(variances).map(|(name, (nm, nm2))| format!("refined {name} {} {}", bits(*nm), bits(nm2))),
     );

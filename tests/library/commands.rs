@@ -3,9 +3,10 @@
 
 use crate::common::assert_facts;
 use crate::consistency::scene;
+use cophase::Status;
 use cophase::ao::actuators_in_use;
 use cophase::io::{FitsWriter, Pixel};
-use cophase::pipeline::{Commands, Estimate, Estimator, ImageStatus, Images};
+use cophase::pipeline::{Commands, Estimate, Estimator, Images};
 use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
@@ -126,7 +127,7 @@ fn commands_in_volts_correct_a_permuted_mirror() {
         after.figures.ncpa.rms_nm,
         after.figures.ncpa.sigma_nm
     );
-    assert_eq!([before.status, after.status], [ImageStatus::Ok; 2]);
+    assert_eq!([before.status, after.status], [Status::Ok; 2]);
     // What is left of the pistons is the noise of two estimates and those below their error bars; of the NCPA also what the mirror
     // does not make: a wrong sign, order or scale of any channel leaves tens of nm.
     assert!(after.figures.phasing.rms_nm < 5.0 * after.figures.phasing.sigma_nm, "{}", after.figures.phasing.rms_nm);

@@ -2,8 +2,9 @@
 //! residual.
 
 use crate::common::assert_facts;
+use cophase::Status;
 use cophase::io::{Card, ELECTRON, FitsWriter, Pixel, Quantity};
-use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Trust};
+use cophase::pipeline::{Estimate, Estimator, Images, Trust};
 use cophase::scene::Scene;
 use ndarray::Array3;
 
@@ -66,7 +67,7 @@ fn arrays_of_counts_are_converted_with_the_gain_of_the_scene() {
     assert_eq!(estimate(&gain, &made).modes.coefficients_nm, expected.modes.coefficients_nm);
     // Without the gain the noise is a quarter of what the counts of photons would have.
     let unaware = estimate(&plain, &counts);
-    assert_eq!(unaware.status, ImageStatus::Misfit);
+    assert_eq!(unaware.status, Status::Misfit);
     assert!(unaware.warnings[0].contains("the noise is smaller than the stated"), "{:?}", unaware.warnings);
 }
 
@@ -216,7 +217,7 @@ fn pixels_with_an_area_are_modelled_as_the_scene_says() {
     assert!(known_nm[0] < 3.0 * sigma_nm[0] && known_nm[1] < 3.0 * sigma_nm[1]);
     // Taken for points: wrong, and flagged.
     let (points_nm, _, points) = error(&scene(&[]));
-    assert!(points_nm[1] > 3.0 * known_nm[1] && points.status == ImageStatus::Misfit, "{:?}", points.warnings);
+    assert!(points_nm[1] > 3.0 * known_nm[1] && points.status == Status::Misfit, "{:?}", points.warnings);
 }
 
 #[test]
@@ -265,7 +266,7 @@ fn nominal_images_are_explained_and_small_faults_are_not() {
     for (name, images_e) in [("a companion of 1 %", companion), ("a response that falls by 2 %", curved)] {
         let found = estimate(&scene, &Images::new(images_e));
         println!("{name}: χ² {:.3}", found.reduced_chi2);
-        assert_eq!(found.status, ImageStatus::Misfit, "{name}: χ² {}", found.reduced_chi2);
+        assert_eq!(found.status, Status::Misfit, "{name}: χ² {}", found.reduced_chi2);
         assert!(found.images[0].message.contains("larger than the noise"), "{}", found.images[0].message);
     }
 }
@@ -281,7 +282,7 @@ fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
         star[[i, y, x]] + if x < 6 { 0.0 } else { 0.02 * star[[i, y, x - 6]] }
     });
     let (right, misfit) = (estimate(&scene, &images), estimate(&scene, &Images::new(companion)));
-    assert_eq!((right.status, misfit.status), (ImageStatus::Ok, ImageStatus::Misfit));
+    assert_eq!((right.status, misfit.status), (Status::Ok, Status::Misfit));
     let expected = (misfit.reduced_chi2 / right.reduced_chi2.max(1.0)).sqrt();
     // Not scaled, or scaled by χ² itself, would be far from this.
     assert!(expected > 1.5, "χ² {} and {}", misfit.reduced_chi2, right.reduced_chi2);

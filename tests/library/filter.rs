@@ -2,8 +2,9 @@
 
 use crate::common::assert_facts;
 use crate::consistency::scene;
+use cophase::Status;
 use cophase::modal::{Model, Recipe};
-use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, scene_files};
+use cophase::pipeline::{Estimate, Estimator, Images, scene_files};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
 
@@ -45,8 +46,8 @@ fn estimate_is_right_only_with_filter_curve_and_star() {
         let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
         let pulls = pulls(what, &found);
         match number {
-            0 => assert!(found.status == ImageStatus::Ok && pulls.iter().all(|pull| *pull < 3.0), "{pulls:?}"),
-            _ => assert!(found.status != ImageStatus::Ok, "{what}"),
+            0 => assert!(found.status == Status::Ok && pulls.iter().all(|pull| *pull < 3.0), "{pulls:?}"),
+            _ => assert!(found.status != Status::Ok, "{what}"),
         }
     }
 }

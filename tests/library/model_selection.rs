@@ -2,7 +2,8 @@
 
 use crate::common::assert_facts;
 use crate::consistency::{scene, shown};
-use cophase::pipeline::{Control, Estimate, Estimator, ImageStatus, Images, Policy};
+use cophase::Status;
+use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::scene::Scene;
 
 /// The estimate of an image that was made with `made` beside the scene, by the scene with `read`.
@@ -36,7 +37,7 @@ fn modes_are_added_where_the_scene_does_not_explain_the_images() {
         assert!(!own.is_sound() && own.basis.names.len() < found.basis.names.len(), "{:?}", own.status);
         assert!(!is_right(&own), "the test needs an image that the scene's modes do not explain");
         let realtime = estimate(made, &[], Policy::realtime());
-        assert_ne!(realtime.status, ImageStatus::Ok);
+        assert_ne!(realtime.status, Status::Ok);
     }
 }
 
@@ -45,9 +46,7 @@ fn modes_are_added_where_the_scene_does_not_explain_the_images() {
 fn modes_are_added_where_a_sum_or_one_image_shows_them() {
     // NCPA of 6 and 13 nm in Zernikes beyond those of the scene: of the first no single image shows anything, of the second the median χ² of
     // the images is 1.4.
-    for (rms_nm, status, shows) in
-        [("6", ImageStatus::Ok, "the sum of 30 images"), ("13", ImageStatus::Misfit, "image 1")]
-    {
+    for (rms_nm, status, shows) in [("6", Status::Ok, "the sum of 30 images"), ("13", Status::Misfit, "image 1")] {
         let made = [
             ("image.count", "30"),
             ("image.peak_snr", "60"),
@@ -95,6 +94,6 @@ fn misfit_outside_the_modes_remains_a_misfit() {
     // A filter of 5 % that the scene does not have.
     let made = [("image.bandwidth_fraction", "0.1")];
     let found = estimate(&made, &[("image.bandwidth_fraction", "0")], Policy::default());
-    assert_eq!(found.status, ImageStatus::Misfit);
+    assert_eq!(found.status, Status::Misfit);
     assert!(!found.model.contains("extended"), "{}", found.model);
 }

@@ -3,10 +3,10 @@
 use crate::common::assert_facts;
 use crate::consistency::shown;
 use crate::full_phase::sky;
-use cophase::Control;
 use cophase::ao::{self, Shot, Simulator};
-use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images};
+use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::{AoKnowledge, Scene};
+use cophase::{Control, Status};
 use std::path::Path;
 
 const PAIR: &str =
@@ -48,7 +48,7 @@ fn successive_channels_are_one_sequence() {
     let scene = scene(PAIR, &[]);
     let images = simulated(&scene);
     let found = estimate(&scene, &images);
-    assert_eq!(found.status, ImageStatus::Ok);
+    assert_eq!(found.status, Status::Ok);
     assert!(is_right(&found), "{:?}", found.warnings);
     assert_eq!(found.channels, ["plus", "minus"]);
     let channels: Vec<usize> = found.images.iter().map(|image| image.channel).collect();
@@ -72,7 +72,7 @@ fn simultaneous_channels_are_averaged_in_each_exposure() {
     // One loop, one moment: the same slopes.
     assert_eq!(images[0].slopes_mas, images[1].slopes_mas);
     let found = estimate(&scene, &images);
-    assert_eq!(found.status, ImageStatus::Ok);
+    assert_eq!(found.status, Status::Ok);
     assert!(is_right(&found), "{:?}", found.warnings);
     assert_eq!(found.images.len(), 16);
     let iterations = &found.full_phase().unwrap().iterations;
@@ -95,7 +95,7 @@ fn two_colours_resolve_whole_wavelengths_behind_ao() {
     let settings = [("aberrations.segment_piston_rms_nm", "1500"), ("modes.piston_range_nm", "10000")];
     let scene = scene(COLOURS, &settings);
     let found = estimate(&scene, &simulated(&scene));
-    assert_eq!((found.integers.len(), found.status), (7, ImageStatus::Ok));
+    assert_eq!((found.integers.len(), found.status), (7, Status::Ok));
     assert!(found.integers.iter().all(|integer| integer.probability > 0.99), "{:?}", found.integers);
     assert!(found.integers.iter().any(|integer| integer.integer != found.integers[0].integer));
     assert!(is_right(&found), "{:?}", found.warnings);

@@ -2,8 +2,9 @@
 
 use crate::consistency::{scene, shown};
 use crate::full_phase::{exposures, sky};
+use cophase::Status;
 use cophase::ao::Stepper;
-use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images};
+use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::{AoKnowledge, Scene};
 use ndarray::Array3;
 
@@ -67,7 +68,7 @@ fn a_pupil_without_symmetry_determines_the_orientation() {
         let mirrored = |at: usize, flip: bool| if flip { (n - at) % n } else { at };
         let found = estimate(&scene, &moved(&images, |y, x| (mirrored(y, flip_y), mirrored(x, flip_x))));
         assert!(
-            matches!(found.status, ImageStatus::Misfit | ImageStatus::WrongMinimum),
+            matches!(found.status, Status::Misfit | Status::WrongMinimum),
             "{name}: {:?}, χ² {}",
             found.status,
             found.reduced_chi2

@@ -1,14 +1,14 @@
 //! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what it cannot do.
 
 use crate::common::assert_facts;
-use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
-use cophase::modal::{Cube, ImageStatus, ModalFitter, Recipe};
+use cophase::modal::{Cube, ModalFitter, Recipe};
 use cophase::modes::Group;
 use cophase::planner::{self, Plan, Price};
 use cophase::scene::{self, Crop, NcpaBasis, NollRange, Scene};
 use cophase::source;
+use cophase::{Control, Status};
 use cophase::{Error, Estimator, Images, Result};
 use std::path::Path;
 
@@ -140,7 +140,7 @@ fn estimates_of_a_planned_scene_are_no_misfits() {
         for seed in ["11", "12", "13"] {
             let images = Images::simulated(&scene.with_override("aberrations.seed", seed).unwrap()).unwrap();
             let found = Estimator::new(&plan.scene).unwrap().estimate(&images).unwrap();
-            assert!(found.status == ImageStatus::Ok, "S/N {peak_snr}, seed {seed}: {:?}", found.warnings);
+            assert!(found.status == Status::Ok, "S/N {peak_snr}, seed {seed}: {:?}", found.warnings);
         }
     }
     // Such a model was tried.

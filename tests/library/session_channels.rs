@@ -58,11 +58,11 @@ fn refines_to(session: &Session, estimate: &Estimate) {
     let refined = session.refine(0).unwrap();
     let sigma_nm = estimate.modes.sigma_nm();
     for (mode, sigma) in sigma_nm.iter().enumerate() {
-        let off = (refined.coefficients_nm[mode] - estimate.modes.coefficients_nm[mode]).abs();
+        let off = (refined.modes.coefficients_nm[mode] - estimate.modes.coefficients_nm[mode]).abs();
         assert!(off < 1e-5 * sigma, "{mode}: {off} of {sigma}");
     }
     let largest = sigma_nm.iter().fold(0.0, |most: f64, sigma| most.max(sigma * sigma));
-    let off: Array2<f64> = &refined.covariance_nm2 - &estimate.modes.covariance_nm2;
+    let off: Array2<f64> = &refined.modes.covariance_nm2 - &estimate.modes.covariance_nm2;
     assert!(off.iter().all(|nm2| nm2.abs() < 1e-6 * largest));
     assert_eq!(refined.integers.len(), estimate.integers.len());
     assert!(refined.integers.iter().zip(&estimate.integers).all(|(a, b)| a.integer == b.integer));
@@ -108,11 +108,14 @@ fn whole_wavelengths_are_flagged_by_a_fit_and_then_refined() {
     let refined = session.refine(0).unwrap();
     assert!(!refined.is_contradictory && refined.integers.iter().all(|one| one.probability > 0.99));
     // From there on a fit has the whole wavelengths of its start.
-    let start_nm = Array2::from_shape_vec((1, refined.coefficients_nm.len()), refined.coefficients_nm.clone()).unwrap();
+    let start_nm =
+        Array2::from_shape_vec((1, refined.modes.coefficients_nm.len()), refined.modes.coefficients_nm.clone())
+            .unwrap();
     session.fit(1, &FitOptions { start_nm: Some(start_nm.view()), ..FitOptions::default() }).unwrap();
     let fit = result(&session);
     assert!(!fit.is_contradictory, "{:?}", fit.disagreement);
-    let off = fit.coefficients_nm.iter().zip(&refined.coefficients_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    let off =
+        fit.coefficients_nm.iter().zip(&refined.modes.coefficients_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(off < 1.0, "{off} nm");
 }
 
@@ -176,7 +179,10 @@ fn groups_of_a_batch_have_the_bits_of_single_groups() {
         let (found, expected) = (&batch.results()[group], result(&single));
         assert_eq!((&found.coefficients_nm, &found.sigma_nm), (&expected.coefficients_nm, &expected.sigma_nm));
         let (found, expected) = (batch.refine(group).unwrap(), single.refine(0).unwrap());
-        assert_eq!((found.coefficients_nm, found.covariance_nm2), (expected.coefficients_nm, expected.covariance_nm2));
+        assert_eq!(
+            (found.modes.coefficients_nm, found.modes.covariance_nm2),
+            (expected.modes.coefficients_nm, expected.modes.covariance_nm2)
+        );
     }
     assert!(
         matches!(batch.results()[1].status, Status::Unusable(_)) && matches!(batch.refine(1), Err(Error::Value(_)))
@@ -202,7 +208,7 @@ fn a_list_of_one_channel_is_a_scene_of_one() {
     assert_eq!(result(&listed).coefficients_nm, result(&only).coefficients_nm);
     assert_eq!(result(&listed).coefficients_nm, fits(&listed).next().unwrap().coefficients_nm);
     assert!(result(&listed).sigma_nm.iter().all(|sigma| sigma.is_nan()) && !result(&listed).is_contradictory);
-    assert_eq!(listed.refine(0).unwrap().covariance_nm2, only.refine(0).unwrap().covariance_nm2);
+    assert_eq!(listed.refine(0).unwrap().modes.covariance_nm2, only.refine(0).unwrap().modes.covariance_nm2);
     assert_eq!([&listed, &only].map(|session| session.channels()[0].name()), ["plus", ""]);
 }
 

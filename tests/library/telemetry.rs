@@ -2,8 +2,9 @@
 
 use crate::common::assert_facts;
 use crate::full_phase::{exposures, sky};
+use cophase::Status;
 use cophase::ao::Stepper;
-use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Orientation, Poke, PokeResult, check_orientation};
+use cophase::pipeline::{Estimate, Estimator, Images, Orientation, Poke, PokeResult, check_orientation};
 use cophase::scene::{AoKnowledge, Scene};
 use cophase::source::{Camera, Truth};
 use cophase::telescope::Telescope;
@@ -144,7 +145,7 @@ fn noise_that_is_smaller_than_stated_is_flagged() {
     let right = images(3);
     let counts = Images { images_e: &right.images_e / 20.0, slopes_mas: None, ..right };
     let found = estimate(&scene(&[]), &counts).unwrap();
-    assert_eq!(found.status, ImageStatus::Misfit);
+    assert_eq!(found.status, Status::Misfit);
     let is_named = found.warnings.iter().any(|warning| warning.contains("is the image in electrons"));
     assert!(found.reduced_chi2 < 0.5 && is_named, "{:?}", found.warnings);
 }

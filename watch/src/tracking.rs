@@ -102,7 +102,7 @@ impl Tracking {
 
     /// The star of an estimate, pixels of the frame from the axis along x and y; NaN where it is not known.
     pub fn pointing_pixels(&self, estimate: &FrameEstimate) -> [f64; 2] {
-        let nm = self.pointing.of(&estimate.coefficients_nm, estimate.tip_tilt_nm);
+        let nm = self.pointing.of(&estimate.modes.coefficients_nm, estimate.report.tip_tilt_nm);
         [0, 1].map(|axis| nm[axis] / self.pointing.nm_per_pixel[axis])
     }
 
@@ -119,9 +119,9 @@ impl Tracking {
         let mut tracker = self.tracker.clone();
         let observation = TimedEstimate {
             time_s,
-            coefficients_nm: ArrayView1::from(&estimate.coefficients_nm),
-            covariance_nm2: estimate.covariance_nm2.view(),
-            pointing_nm: Some(self.pointing.of(&estimate.coefficients_nm, estimate.tip_tilt_nm))
+            coefficients_nm: ArrayView1::from(&estimate.modes.coefficients_nm),
+            covariance_nm2: estimate.modes.covariance_nm2.view(),
+            pointing_nm: Some(self.pointing.of(&estimate.modes.coefficients_nm, estimate.report.tip_tilt_nm))
                 .filter(|nm| nm.iter().all(|nm| nm.is_finite())),
         };
         let update = tracker.update(observation)?;

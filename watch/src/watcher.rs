@@ -255,17 +255,17 @@ impl Watcher<'_> {
     fn frame(&self, pending: &Pending, estimate: &FrameEstimate) -> Result<(Frame, Option<Step>)> {
         let mut frame = refused(pending, String::new());
         frame.reason.clone_from(&estimate.refusal);
-        frame.fit = Some(estimate.status.word().to_owned());
+        frame.fit = Some(estimate.report.status.word().to_owned());
         (frame.chi2, frame.flux_e, frame.background_e) =
-            (estimate.reduced_chi2, estimate.flux_e, estimate.background_e);
+            (estimate.report.reduced_chi2, estimate.report.flux_e, estimate.report.background_e);
         frame.warnings.clone_from(&estimate.warnings);
-        if estimate.coefficients_nm.iter().all(|nm| nm.is_finite()) {
+        if estimate.modes.coefficients_nm.iter().all(|nm| nm.is_finite()) {
             let model = self.model.estimator.fitter().model();
-            frame.phasing_rms_nm = rms_nm(model, &estimate.coefficients_nm, Group::Segment)?;
-            frame.ncpa_rms_nm = rms_nm(model, &estimate.coefficients_nm, Group::Ncpa)?;
-            frame.coefficients_nm = self.tracking.without_pointing(&estimate.coefficients_nm);
+            frame.phasing_rms_nm = rms_nm(model, &estimate.modes.coefficients_nm, Group::Segment)?;
+            frame.ncpa_rms_nm = rms_nm(model, &estimate.modes.coefficients_nm, Group::Ncpa)?;
+            frame.coefficients_nm = self.tracking.without_pointing(&estimate.modes.coefficients_nm);
             frame.pointing_pixels = self.tracking.pointing_pixels(estimate);
-            frame.sigma_nm = estimate.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect();
+            frame.sigma_nm = estimate.modes.sigma_nm();
         }
         let mut step = None;
         if frame.reason.is_none() {

@@ -1,9 +1,10 @@
 //! An estimate as a picture.
 
 use cophase::Result;
+use cophase::Status;
 use cophase::modal::Model;
 use cophase::modes::Group;
-use cophase::pipeline::{Comparison, Estimate, Figure, ImageStatus, StaticMaps};
+use cophase::pipeline::{Comparison, Estimate, Figure, StaticMaps};
 use cophase_view::plot::{EstimatePicture, ImageTriple, MapRms, MapTriple, ModalBars, ModeGroup};
 use cophase_view::terminal::counted;
 use ndarray::Array2;
@@ -78,7 +79,7 @@ fn rms(estimate: &Estimate) -> Result<[MapRms; 2]> {
 
 /// A line for an estimate that is not sound: its status, and the first of its warnings.
 fn doubt(estimate: &Estimate) -> Option<String> {
-    let status = (estimate.status != ImageStatus::Ok).then(|| format!("status {}", estimate.status.word()));
+    let status = (estimate.status != Status::Ok).then(|| format!("status {}", estimate.status.word()));
     let first = estimate.warnings.first().map(|first| match estimate.warnings.len() {
         1 => first.clone(),
         count => format!("{count} warnings, the first: {first}"),

@@ -1,12 +1,13 @@
 //! Options and results of a session.
 
+use super::super::combined_modes::CombinedModes;
 use super::super::integers::PistonInteger;
 use super::super::prepare::Refusal;
 use super::super::status::{ImageReport, Status};
 use crate::imaging::{Choice, Precision};
 use crate::optimize::StopReason;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1, ArrayView2};
+use ndarray::{ArrayView1, ArrayView2};
 use std::time::Duration;
 
 /// Options of a [`Session`](super::Session).
@@ -141,10 +142,8 @@ impl GroupResult {
 /// Result of a group with its covariance; see [`Session::refine`](super::Session::refine).
 #[derive(Debug, Clone)]
 pub struct RefinedGroup {
-    /// Every mode, nm.
-    pub coefficients_nm: Vec<f64>,
-    /// Its covariance, `[mode, mode]`, nm².
-    pub covariance_nm2: Array2<f64>,
+    /// The modes, with their covariance.
+    pub modes: CombinedModes,
     /// As in [`GroupResult::disagreement`].
     pub disagreement: (f64, f64),
     /// As in [`GroupResult::is_contradictory`].
@@ -155,9 +154,8 @@ pub struct RefinedGroup {
 
 impl RefinedGroup {
     /// That of one channel.
-    pub(super) fn of_one(coefficients_nm: Vec<f64>, covariance_nm2: Array2<f64>) -> Self {
-        let disagreement = (f64::NAN, 0.0);
-        Self { coefficients_nm, covariance_nm2, disagreement, is_contradictory: false, integers: Vec::new() }
+    pub(super) fn of_one(modes: CombinedModes) -> Self {
+        Self { modes, disagreement: (f64::NAN, 0.0), is_contradictory: false, integers: Vec::new() }
     }
 }
 

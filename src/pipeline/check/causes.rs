@@ -3,7 +3,7 @@
 use super::finding::{CheckedQuantity, Finding, Verdict};
 use super::{Work, chi2_of, first_used, optics, pixels_of, shapes};
 use crate::control::Stage;
-use crate::modal::{self, Cube, ImageStatus, ModelCache, OpticsMinimum, OpticsStart};
+use crate::modal::{self, Cube, ModelCache, OpticsMinimum, OpticsStart, Status};
 use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::residual_shape::{Shape, ShapeKind};
 use crate::scene::{Optic, Scene, Setting};
@@ -62,8 +62,8 @@ impl Work<'_> {
         findings.extend(square_chi2.and_then(|chi2| of_square_pixels([own_chi2, chi2], &left, scale)));
         findings.extend(shapes.iter().map(|shape| of_shape(shape, &left, scale)));
         if left.is_misfit && !findings.iter().any(|finding| finding.verdict == Verdict::Fault) {
-            let status = fitted.fit.1.status().kind();
-            if status != ImageStatus::Ok || own_chi2 > 2.0 {
+            let status = *fitted.fit.1.status();
+            if status != Status::Ok || own_chi2 > 2.0 {
                 findings.push(Finding::new(
                     CheckedQuantity::Unexplained,
                     Verdict::Fault,

@@ -48,7 +48,7 @@ fn diversity_error_is_in_the_error_bars_of_any_sequence() {
         }
         session.fit(3, &FitOptions::default()).unwrap();
         kept.push(&session).unwrap();
-        (session.refine(0).unwrap().covariance_nm2, kept)
+        (session.refine(0).unwrap().modes.covariance_nm2, kept)
     };
     let ((covariance, sure), (wider, unsure)) = (kept(&known), kept(&unsure));
     let image = &known.image;

@@ -91,7 +91,7 @@ fn the_covariance_is_that_of_a_single_image() {
     session.fit(1, &FitOptions::default()).unwrap();
     // One image: the estimate's covariance is this image's.
     let (mine, theirs) =
-        (session.refine(0).unwrap().covariance_nm2, batch(&estimator, &images_e).combined.modes.covariance_nm2);
+        (session.refine(0).unwrap().modes.covariance_nm2, batch(&estimator, &images_e).combined.modes.covariance_nm2);
     let largest = theirs.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     // The same matrices from the same bits; χ² differs in its last digits.
     assert!((&mine - &theirs).iter().all(|d| d.abs() < 1e-9 * largest));

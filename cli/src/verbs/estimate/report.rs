@@ -1,9 +1,10 @@
 //! The report of an estimate as one HTML file.
 
 use cophase::Result;
+use cophase::Status;
 use cophase::io::write_atomically;
 use cophase::modal::FittedImage;
-use cophase::pipeline::{Estimate, Figure, ImageStatus};
+use cophase::pipeline::{Estimate, Figure};
 use cophase::telescope::SegmentPlace;
 use cophase_view::html::{self, Colours, SegmentValue};
 use cophase_view::terminal::counted;
@@ -48,7 +49,7 @@ fn report(name: &str, estimate: &Estimate) -> Result<String> {
 
 /// Status, warnings and remarks, in this order.
 fn state(estimate: &Estimate) -> String {
-    let status = (estimate.status != ImageStatus::Ok).then(|| format!("The status is {}", estimate.status.word()));
+    let status = (estimate.status != Status::Ok).then(|| format!("The status is {}", estimate.status.word()));
     let warnings: Vec<String> = status.into_iter().chain(estimate.warnings.iter().cloned()).collect();
     let mut text = html::list("alarm", &warnings, "The status is ok, and there is no warning.");
     if !estimate.remarks.is_empty() {

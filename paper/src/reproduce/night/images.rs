@@ -148,7 +148,7 @@ impl<'a> Cameraman<'a> {
             for (place, result) in session.channels()[0].results().iter().enumerate() {
                 let status = result.report.status.word();
                 let covariance_nm2 = match session.refine(place) {
-                    Ok(refined) => Some(refined.covariance_nm2),
+                    Ok(refined) => Some(refined.modes.covariance_nm2),
                     Err(Error::Value(_)) => None,
                     Err(error) => return Err(error),
                 };
