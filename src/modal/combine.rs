@@ -1,21 +1,32 @@
 //! Combination of the minima of single images into one estimate: mean or median, error bars, maps.
 
-use super::combined_modes::CombinedModes;
+pub(in crate::modal) mod accumulator;
+pub(in crate::modal) mod combined_modes;
+pub(in crate::modal) mod diversity_error;
+pub(in crate::modal) mod global_motions;
+pub(in crate::modal) mod in_focus;
+pub(in crate::modal) mod integers;
+pub(in crate::modal) mod joint;
+pub(in crate::modal) mod pistons;
+pub(in crate::modal) mod sequence;
+pub(in crate::modal) mod static_maps;
+
 use super::fitter::ModalFitter;
-use super::global_motions::GlobalMotions;
-use super::image_fits::{FittedCube, ImageFits};
-use super::in_focus::NearLikelihood;
-use super::mean_residual::{EXPLAINED, mean_residual_chi2};
-use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::PreparedFrame;
-use super::residual::variance;
-use super::restart::is_same_minimum;
-use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
-use super::spread::Spread;
-use super::static_maps::StaticMaps;
-use super::status::{ImageReport, Selection, Status};
 use crate::imaging::Precision;
+use crate::modal::assess::mean_residual::{EXPLAINED, mean_residual_chi2};
+use crate::modal::assess::residual::variance;
+use crate::modal::assess::spread::Spread;
+use crate::modal::assess::status::{ImageReport, Selection, Status};
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::global_motions::GlobalMotions;
+use crate::modal::combine::in_focus::NearLikelihood;
+use crate::modal::combine::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
+use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
+use crate::modal::solve::minimum::Minimum;
+use crate::modal::solve::restart::is_same_minimum;
 use crate::modes::{Degeneracy, WEAK_BELOW};
 use crate::scene::Combine;
 use crate::statistics::median;

@@ -1,20 +1,23 @@
 //! Modal estimate of a cube of images: every image fitted, outlier pixels rejected, wrong minima restarted, images combined.
 
+pub(in crate::modal) mod image_fits;
+pub(in crate::modal) mod scene_fit;
+
 use super::combine::{ModalEstimate, combine};
-use super::combined_modes::CombinedModes;
-use super::cube::Cube;
-use super::engine::{FitState, FitTask, ImageFit};
-use super::fit_series::{FIRST, FitSeries, SeriesStep};
 use super::fitter::ModalFitter;
-use super::image_fits::{FittedCube, ImageFits};
-use super::in_focus::NearLikelihood;
-use super::outliers::CleanedFrame;
-use super::pistons;
 use super::prepare::Frame;
-use super::sequence::SEQUENCE;
-use super::status::Status;
 use crate::control::{Control, Stage};
 use crate::imaging::Chain;
+use crate::modal::assess::status::Status;
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::in_focus::NearLikelihood;
+use crate::modal::combine::pistons;
+use crate::modal::combine::sequence::SEQUENCE;
+use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
+use crate::modal::prepare::cube::Cube;
+use crate::modal::prepare::outliers::CleanedFrame;
+use crate::modal::solve::engine::{FitState, FitTask, ImageFit};
+use crate::modal::solve::fit_series::{FIRST, FitSeries, SeriesStep};
 use crate::{Error, Result};
 use std::time::Instant;
 

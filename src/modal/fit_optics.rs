@@ -13,15 +13,16 @@
 //! all images share. The share of Jθᵀ W Jθ that is left in S measures how identifiable the parameters are: where it is nearly
 //! 0 the modes reproduce their effect, and the scene's value stays.
 
+pub(in crate::modal) mod fitted_optic;
 mod normal;
 mod parameter;
 mod search;
 
-use super::cube::Cube;
 use super::fitter::ModalFitter;
-use super::model_cache::ModelCache;
-use super::recipe::Recipe;
 use crate::control::Control;
+use crate::modal::model::model_cache::ModelCache;
+use crate::modal::model::recipe::Recipe;
+use crate::modal::prepare::cube::Cube;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use ndarray::Array2;

@@ -1,18 +1,18 @@
 //! Modal fitter: the model of a scene, and the data that all fits with it share.
 
-use super::diversity_error::{self, DiversityProjection, SharedError};
-use super::engine::FitTask;
-use super::fisher;
-use super::fitted_optic::FittedOptic;
-use super::global_motions::GlobalMotions;
-use super::metrics::Metrics;
-use super::mode_set::SceneBasis;
 use super::model::Model;
 use super::pointing::Pointing;
-use super::recipe::Recipe;
-use super::tilts::Tilts;
 use crate::control::Control;
 use crate::imaging::CpuChain;
+use crate::modal::assess::fisher;
+use crate::modal::assess::tilts::Tilts;
+use crate::modal::combine::diversity_error::{self, DiversityProjection, SharedError};
+use crate::modal::combine::global_motions::GlobalMotions;
+use crate::modal::fit_optics::fitted_optic::FittedOptic;
+use crate::modal::model::mode_set::SceneBasis;
+use crate::modal::model::recipe::Recipe;
+use crate::modal::solve::engine::FitTask;
+use crate::modal::solve::metrics::Metrics;
 use crate::modes::Direction;
 use crate::scene::{Method, PupilScene, System};
 use crate::{Error, Result};

@@ -1,13 +1,23 @@
 //! Model of a scene for modal fits: modes, pupil samples, pixels.
 
-use super::mode_set::{ModeSet, SceneBasis};
-use super::plan::{PixelPlan, band_limited_weights};
+pub(in crate::modal) mod arrays;
+pub(in crate::modal) mod band;
+pub(in crate::modal) mod device;
+pub(in crate::modal) mod memory;
+pub(in crate::modal) mod mode_set;
+pub(in crate::modal) mod model_cache;
+pub(in crate::modal) mod model_memory;
+pub(in crate::modal) mod plan;
+pub(in crate::modal) mod prior;
+pub(in crate::modal) mod recipe;
+
 use super::prepare::Preparation;
-use super::prior::Prior;
-use super::recipe::Recipe;
-use super::{band, memory};
 use crate::fourier::Sampling;
 use crate::imaging::{Mode, Optics, OpticsParts};
+use crate::modal::model::mode_set::{ModeSet, SceneBasis};
+use crate::modal::model::plan::{PixelPlan, band_limited_weights};
+use crate::modal::model::prior::Prior;
+use crate::modal::model::recipe::Recipe;
 use crate::modes::{self, Basis, Group};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{PupilModel, System};

@@ -4,11 +4,11 @@
 //! and tip and tilt among the modes. A staircase of segment pistons has a mean slope as well; it moves the image, but it is an error of the
 //! mirror, which the modes hold besides, and is no part of the pointing.
 
-use super::diversity_error::ModeProjector;
-use super::global_motions::GlobalMotions;
 use super::model::Model;
-use super::tilts::{Tilts, tip_and_tilt};
 use crate::Result;
+use crate::modal::assess::tilts::{Tilts, tip_and_tilt};
+use crate::modal::combine::diversity_error::ModeProjector;
+use crate::modal::combine::global_motions::GlobalMotions;
 use ndarray::{Array1, Array2, ArrayView1};
 
 /// Share of a plane (RMS) outside the modes up to which they hold it: exactly, to rounding; and nearly, as some Karhunen-Loève modes do, so that a

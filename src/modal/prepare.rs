@@ -1,16 +1,21 @@
 //! Preparation of a detector frame: checked, reduced to the model's sampling with its noise, centred, cropped, weighted.
 
+pub(in crate::modal) mod calibration;
+pub(in crate::modal) mod cube;
 mod extent;
+pub(in crate::modal) mod outliers;
 mod reduction;
 mod refusal;
+pub(in crate::modal) mod rejected;
+pub(in crate::modal) mod rejection;
 mod spikes;
 mod statistics;
 
 pub use refusal::Refusal;
 
-use super::recipe::Recipe;
-use super::rejected::{Rejected, RejectedPixels};
 use crate::imaging::{Exposure, Photometry};
+use crate::modal::model::recipe::Recipe;
+use crate::modal::prepare::rejected::{Rejected, RejectedPixels};
 use crate::scene::Weighting;
 use crate::{Error, Result};
 use extent::{Extent, extents_of_clean_rows};

@@ -8,6 +8,7 @@
 //! as many per cent of its error bar.
 
 mod channel;
+pub(in crate::modal) mod channel_fitters;
 mod combiner;
 mod options;
 #[cfg(all(test, feature = "opencl", debug_assertions))]
@@ -16,14 +17,14 @@ mod tests;
 pub use channel::SessionChannel;
 pub use options::{FitOptions, GroupResult, ImageResult, RefinedGroup, SessionOptions};
 
-use super::channel_fitters::ChannelFitters;
 use super::combine::combine;
-use super::combined_modes::CombinedModes;
-use super::diversity_error::has_diversity;
-use super::image_fits::FittedCube;
-use super::joint::{contradict, joint};
-use super::status::Status;
 use crate::control::Control;
+use crate::modal::assess::status::Status;
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::diversity_error::has_diversity;
+use crate::modal::combine::joint::{contradict, joint};
+use crate::modal::estimate::image_fits::FittedCube;
+use crate::modal::session::channel_fitters::ChannelFitters;
 use crate::scene::Weighting;
 use crate::{Error, Result};
 use combiner::{Combiner, FittedChannel};

@@ -1,11 +1,11 @@
 //! Normal equations of the optical parameters with the modes eliminated: the terms of each image, and their solution.
 
 use crate::imaging::Photometry;
-use crate::modal::fisher::{Sensitivity, pseudo_inverse};
+use crate::modal::assess::fisher::{Sensitivity, pseudo_inverse};
 use crate::modal::fitter::ModalFitter;
-use crate::modal::gauss_newton::{along, rows_of_tile};
-use crate::modal::minimum::Minimum;
 use crate::modal::prepare::PreparedFrame;
+use crate::modal::solve::gauss_newton::{along, rows_of_tile};
+use crate::modal::solve::minimum::Minimum;
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis};

@@ -1,6 +1,6 @@
 //! Optical parameters: their values in a scene, steps of their derivatives, scene and telescope with other values.
 
-use crate::modal::recipe::Recipe;
+use crate::modal::model::recipe::Recipe;
 use crate::scene::{Optic, Parameter, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};

@@ -1,19 +1,19 @@
 //! Gauss-Newton iterations of the optical parameters, each about the images' own minima.
 
-use super::super::band;
-use super::super::cube::Cube;
-use super::super::diversity_error::SharedError;
-use super::super::fitted_optic::FittedOptic;
 use super::super::fitter::{ModalFitter, same_basis};
-use super::super::minimum::Minimum;
-use super::super::mode_set::{ModeSet, SceneBasis};
 use super::super::model::Model;
-use super::super::model_cache::ModelCache;
-use super::super::recipe::Recipe;
 use super::normal::{NormalEquations, ParameterIteration};
 use super::parameter::{self, FittedParameter, starts, telescope, with_numbers};
 use crate::control::Control;
 use crate::imaging::{Chain, CpuChain, Precision};
+use crate::modal::combine::diversity_error::SharedError;
+use crate::modal::fit_optics::fitted_optic::FittedOptic;
+use crate::modal::model::band;
+use crate::modal::model::mode_set::{ModeSet, SceneBasis};
+use crate::modal::model::model_cache::ModelCache;
+use crate::modal::model::recipe::Recipe;
+use crate::modal::prepare::cube::Cube;
+use crate::modal::solve::minimum::Minimum;
 use crate::scene::{Changes, Crop, Optic, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};

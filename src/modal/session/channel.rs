@@ -1,19 +1,19 @@
 //! The frames of one channel of a session, and their fits, with all memory allocated beforehand.
 
 use super::super::combine::{FittedImage, fitted_image};
-use super::super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use super::super::fitter::ModalFitter;
-use super::super::global_motions::GlobalMotions;
-use super::super::pistons;
 use super::super::prepare::{Frame, Preparation, PreparedFrame, Preparer, Refusal, Ringing};
-use super::super::recipe::Recipe;
-use super::super::residual::variance;
-use super::super::spread::Spread;
-use super::super::status::{ImageReport, Status, assess};
-use super::super::tilts::Tilts;
 use super::options::{ImageResult, SessionOptions, write_start};
 use crate::control::Control;
 use crate::imaging::Chain;
+use crate::modal::assess::residual::variance;
+use crate::modal::assess::spread::Spread;
+use crate::modal::assess::status::{ImageReport, Status, assess};
+use crate::modal::assess::tilts::Tilts;
+use crate::modal::combine::global_motions::GlobalMotions;
+use crate::modal::combine::pistons;
+use crate::modal::model::recipe::Recipe;
+use crate::modal::solve::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use crate::optimize::StopReason;
 use crate::scene::Optimizer;
 use crate::{Error, Result};

@@ -9,16 +9,16 @@
 //!
 //! V and each term of M are computed once. M is near a multiple of the identity, and its Cholesky decomposition is exact to rounding.
 
-use super::super::channel_fitters::ChannelFitters;
-use super::super::engine::ImageFit;
-use super::super::fisher::{null_floor, pseudo_inverse, rank, root_of_pseudo_inverse, without};
 use super::super::fitter::ModalFitter;
-use super::super::joint::spanned_diversity;
-use super::super::metrics::Metrics;
-use super::super::pistons;
-use super::super::tilts::spanned_tip_and_tilt;
 use super::options::ImageResult;
 use crate::Result;
+use crate::modal::assess::fisher::{null_floor, pseudo_inverse, rank, root_of_pseudo_inverse, without};
+use crate::modal::assess::tilts::spanned_tip_and_tilt;
+use crate::modal::combine::joint::spanned_diversity;
+use crate::modal::combine::pistons;
+use crate::modal::session::channel_fitters::ChannelFitters;
+use crate::modal::solve::engine::ImageFit;
+use crate::modal::solve::metrics::Metrics;
 use ndarray::{Array1, Array2, Axis, s};
 
 /// The fit of a frame of a channel, which converged.

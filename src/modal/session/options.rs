@@ -1,10 +1,10 @@
 //! Options and results of a session.
 
-use super::super::combined_modes::CombinedModes;
-use super::super::integers::PistonInteger;
 use super::super::prepare::Refusal;
-use super::super::status::{ImageReport, Status};
 use crate::imaging::{Choice, Precision};
+use crate::modal::assess::status::{ImageReport, Status};
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::integers::PistonInteger;
 use crate::optimize::StopReason;
 use crate::{Error, Result};
 use ndarray::{ArrayView1, ArrayView2};

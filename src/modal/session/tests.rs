@@ -1,10 +1,10 @@
 //! A session whose device is lost.
 
-use super::super::engine::DeviceEngine;
 use super::super::fitter::ModalFitter;
 use super::*;
 use crate::device::tests::test_devices;
 use crate::imaging::{Chain, Fallback, Precision};
+use crate::modal::solve::engine::DeviceEngine;
 use crate::scene::Scene;
 use std::sync::Arc;
 

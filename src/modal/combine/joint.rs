@@ -1,0 +1,380 @@
+//! Joint estimate of the channels of one wavefront, from an estimate of each.
+//!
+//! Near their minima the objectives of the channels are quadratic in the modes, so that the minimum of their sum follows from the
+//! minimum ĉ_i of each and its covariance C_i by generalised least squares:
+//!
+//! ```text
+//! ĉ_i = c + δ p_i + T t_i + noise       c: the modes, common to all channels
+//! Λ_i = C_i⁺ − C_i⁺ T (Tᵀ C_i⁺ T)⁻¹ Tᵀ C_i⁺    T: tip and tilt of all channels but the first, which are each channel's own
+//! N = Σ [1 p_i]ᵀ Λ_i [1 p_i] + diag(0, 1/σ²)    [c δ] = N⁺ Σ [1 p_i]ᵀ Λ_i ĉ_i      covariance N⁺
+//! ```
+//!
+//! δ is the relative error of the amplitude of the diversities d_i, whose coefficients are p_i: an image of c behind (1+δ) d_i is that of
+//! c + δ d_i behind d_i. One mechanism is assumed to make them all. It is known to σ (`estimate.diversity_error`), not at all where
+//! `estimate.fit_optics` names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one does not.
+//!
+//! Of a channel in focus ĉ_i is not known, but Λ_i and Λ_i (ĉ_i − c_i) about a point c_i: see `in_focus.rs`.
+//!
+//! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the channels are of one wavefront by one
+//! model: an image that is flipped, or of another wavelength than the scene says, disagrees with the others.
+
+use crate::modal::assess::fisher::{self, null_floor, pseudo_inverse, without};
+use crate::modal::assess::tilts::spanned_tip_and_tilt;
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::integers::{self, ColourChannel, PistonInteger};
+use crate::modal::combine::pistons;
+use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::combine::{ModalEstimate, with_prior};
+use crate::modal::fit_optics::fitted_optic::FittedOptic;
+use crate::modal::fitter::ModalFitter;
+use crate::scene::{Optic, System};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, Axis, concatenate, s};
+
+/// Fitter of a channel, and what it found.
+type ChannelFit<'a> = (&'a ModalFitter, &'a ModalEstimate);
+
+/// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
+/// √(2/n) of n degrees of freedom,
+const DEVIATIONS: f64 = 5.0;
+/// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000. A flipped image gives
+/// 1,000 and more at S/N 500.
+const ALLOWANCE: f64 = 0.3;
+
+/// Least share of the information on the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
+/// projections would be taken for it.
+const LEAST_SHARE: f64 = 1e-4;
+
+/// Estimate from several channels.
+pub(crate) struct JointEstimate {
+    /// The modes, with the prior and the errors that all images share.
+    pub(crate) modes: CombinedModes,
+    /// Segment errors and NCPA.
+    pub(crate) maps: StaticMaps,
+    /// Their error bars.
+    pub(crate) sigma_maps: StaticMaps,
+    /// Amplitude of the diversity of the first channel that has one, where it was fitted.
+    pub(crate) defocus: Option<FittedOptic>,
+    /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
+    pub(crate) integers: Vec<PistonInteger>,
+    /// Change of the modes for a relative error 1 of the amplitude of all diversities, nm; none where that is unknown or fitted.
+    pub(crate) diversity_effect_nm: Option<Array1<f64>>,
+    /// Scatter of the channels about the estimate over its expectation, and its degrees of freedom.
+    pub(crate) disagreement: (f64, f64),
+    /// Modes by each channel, with the whole wavelengths of its pistons, nm.
+    pub(crate) channels_nm: Vec<Vec<f64>>,
+}
+
+/// Normal likelihood of the modes, from one channel.
+struct Likelihood {
+    /// ĉ, nm; of a channel in focus a point near it.
+    coefficients_nm: Array1<f64>,
+    /// Λ, per nm².
+    information: Array2<f64>,
+    /// Λ (ĉ − coefficients), per nm, of a channel in focus; none where that is 0.
+    gradient: Option<Array1<f64>>,
+    /// p, nm.
+    diversity_nm: Array1<f64>,
+}
+
+/// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale` times those of their noise.
+fn resolve(
+    scene: &System,
+    likelihoods: &mut [Likelihood],
+    wavelengths_nm: &[f64],
+    pistons: usize,
+    scale: f64,
+) -> Result<Vec<PistonInteger>> {
+    let covariance_nm2 = Normal::new(likelihoods, false, 0.0)?.covariance * scale;
+    let information: Vec<Array2<f64>> = likelihoods.iter().map(|channel| &channel.information / scale).collect();
+    let each = likelihoods.iter_mut().zip(wavelengths_nm).zip(&information);
+    let mut colours: Vec<ColourChannel> = each
+        .map(|((likelihood, &wavelength_nm), information)| ColourChannel {
+            wavelength_nm,
+            coefficients_nm: &mut likelihood.coefficients_nm,
+            information,
+        })
+        .collect();
+    Ok(integers::resolve(&mut colours, &covariance_nm2, pistons, scene.modes.piston_range_nm))
+}
+
+/// Combines the estimates of the channels of `scene`, which have the same modes; those of channels in focus are the last.
+///
+/// # Errors
+/// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do not span;
+/// [`Error::Value`] where no mode changes the images.
+pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEstimate> {
+    let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
+    let (count, model) = (first.model.optics.modes(), &first.model);
+    if let Some((other, _)) = channels.iter().find(|(fitter, _)| fitter.model.basis.names() != model.basis.names()) {
+        return Err(Error::Scene(format!(
+            "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
+            other.scene.name(),
+            other.model.basis.len(),
+            first.scene.name(),
+            count
+        )));
+    }
+    let likelihoods = channels.iter().enumerate();
+    let mut likelihoods =
+        likelihoods.map(|(number, &fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
+    let is_fitted = scene.estimate.fit_optics.contains(&Optic::DEFOCUS);
+    let sigma = scene.estimate.diversity_error;
+    let is_unknown = is_fitted || sigma > 0.0;
+    if is_unknown {
+        check_spanned(channels)?;
+    }
+    // Channels in focus have the whole wavelengths of the others, near whose estimate they are.
+    let defocused = likelihoods.iter().filter(|channel| channel.gradient.is_none()).count();
+    let wavelengths_nm = channels[..defocused].iter().map(|fit| fit.0.model.optics.parts().wavelength_nm);
+    let wavelengths_nm: Vec<f64> = wavelengths_nm.collect();
+    let mut integers = Vec::new();
+    if integers::are_determined(&wavelengths_nm) {
+        let likelihoods = &mut likelihoods[..defocused];
+        integers = resolve(scene, likelihoods, &wavelengths_nm, model.pistons(), 1.0)?;
+        let (chi2, _) = Normal::new(likelihoods, false, 0.0)?.disagreement(likelihoods);
+        if chi2 > 1.0 {
+            // The channels are less precise than their noise, and integers less certain.
+            let again = resolve(scene, likelihoods, &wavelengths_nm, model.pistons(), chi2)?;
+            integers = again.into_iter().zip(integers).map(|(new, old)| new.following(&old)).collect();
+        }
+    }
+    let normal =
+        |with_amplitude: bool| Normal::new(&likelihoods, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
+    let mut found = normal(is_unknown)?;
+    let mut defocus = None;
+    if is_fitted {
+        let share = found.share_of_amplitude(&likelihoods);
+        let is_identifiable = share > LEAST_SHARE;
+        if !is_identifiable {
+            found = normal(false)?;
+        }
+        defocus = fitted_defocus(channels, &found, share);
+    }
+    let disagreement = found.disagreement(&likelihoods);
+    let diversity_effect_nm = (!found.has_amplitude).then(|| {
+        let each = likelihoods.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
+        found.covariance.dot(&each.fold(Array1::zeros(count), |sum, one| sum + one))
+    });
+    let mut coefficients_nm = found.solution.slice(s![..count]).to_vec();
+    first.motions.remove(&mut coefficients_nm);
+    // Channels that disagree by more than their noise are wrong by at least as much.
+    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..count, ..count]).to_owned());
+    let covariance_nm2 = covariance_nm2 * disagreement.0.max(1.0);
+    let modes = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    Ok(JointEstimate {
+        maps: StaticMaps::of_modes(model, &modes),
+        sigma_maps: StaticMaps::of_error_bars(model, &modes),
+        modes,
+        defocus,
+        integers,
+        diversity_effect_nm,
+        disagreement,
+        channels_nm: likelihoods.iter().map(|channel| channel.coefficients_nm.to_vec()).collect(),
+    })
+}
+
+/// Whether channels whose differences have the given reduced χ² and degrees of freedom differ by more than their noise.
+pub(in crate::modal) fn contradict((chi2, freedom): (f64, f64)) -> bool {
+    freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt()
+}
+
+impl JointEstimate {
+    /// Whether the channels differ by more than their noise.
+    pub(crate) fn is_contradictory(&self) -> bool {
+        contradict(self.disagreement)
+    }
+}
+
+/// The modes that several channels have in common, from estimates of each with the covariance of their noise; pistons within half a
+/// wavelength of the first channel's.
+///
+/// # Errors
+/// [`Error::Value`] where no mode changes the images.
+pub(crate) fn combine_estimates(scene: &System, channels: &[(&ModalFitter, CombinedModes)]) -> Result<CombinedModes> {
+    let Some((first, reference)) = channels.first() else {
+        return Err(Error::Internal("no channel is combined".into()));
+    };
+    let each = channels.iter().enumerate().map(|(number, (fitter, own))| {
+        normal_likelihood(fitter, own.clone(), number, (first, &reference.coefficients_nm))
+    });
+    let likelihoods = each.collect::<Result<Vec<_>>>()?;
+    let sigma = scene.estimate.diversity_error;
+    let found = Normal::new(&likelihoods, sigma > 0.0, if sigma > 0.0 { sigma.powi(-2) } else { 0.0 })?;
+    let modes = first.model.optics.modes();
+    let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
+    first.motions.remove(&mut coefficients_nm);
+    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..modes, ..modes]).to_owned());
+    Ok(CombinedModes { coefficients_nm, covariance_nm2 })
+}
+
+/// Likelihood of the channel `number`; its pistons within half a wavelength of the first channel's.
+fn likelihood_of((fitter, found): ChannelFit, number: usize, (first, reference): ChannelFit) -> Result<Likelihood> {
+    if let Some(near) = found.near.clone() {
+        let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+        let (coefficients_nm, gradient) = (near.coefficients_nm, Some(near.gradient));
+        let information = fitter.motions.without_information_on(&near.information);
+        return Ok(Likelihood { coefficients_nm, information, gradient, diversity_nm });
+    }
+    let mut likelihood = found.likelihood().clone();
+    for shared in
+        fitter.shared_errors().iter().filter(|shared| shared.name != crate::modal::combine::diversity_error::NAME)
+    {
+        likelihood.covariance_nm2 += &shared.covariance_nm2;
+    }
+    normal_likelihood(fitter, likelihood, number, (first, &reference.likelihood().coefficients_nm))
+}
+
+/// Likelihood from the estimate of the channel `number`; its pistons within half a wavelength of `reference_nm`, the first channel's.
+fn normal_likelihood(
+    fitter: &ModalFitter,
+    mut likelihood: CombinedModes,
+    number: usize,
+    (first, reference_nm): (&ModalFitter, &[f64]),
+) -> Result<Likelihood> {
+    let model = &fitter.model;
+    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+    if number > 0 {
+        pistons::wrap(&mut likelihood.coefficients_nm, reference_nm, model);
+        first.motions.remove(&mut likelihood.coefficients_nm);
+    }
+    let modes = model.optics.modes();
+    // An inverse in scaled coordinates has other null directions than the covariance, in each channel others.
+    let information = pseudo_inverse(&likelihood.covariance_nm2, null_floor(modes, modes))?;
+    let mut information = fitter.motions.without_information_on(&information);
+    if number > 0 {
+        information = without(information, &spanned_tip_and_tilt(model)?);
+    }
+    let coefficients_nm = Array1::from(likelihood.coefficients_nm);
+    Ok(Likelihood { coefficients_nm, information, gradient: None, diversity_nm })
+}
+
+/// Refuses an unknown amplitude of diversities that are not combinations of the modes.
+///
+/// # Errors
+/// [`Error::Scene`] where the modes of a channel do not span its diversity.
+fn check_spanned(channels: &[ChannelFit]) -> Result<()> {
+    channels.iter().try_for_each(|(fitter, _)| spanned_diversity(fitter).map(|_| ()))
+}
+
+/// Coefficients of the diversity of a channel, nm, whose amplitude is unknown.
+///
+/// # Errors
+/// [`Error::Scene`] where the modes do not span it.
+pub(in crate::modal) fn spanned_diversity(fitter: &ModalFitter) -> Result<Array1<f64>> {
+    let projection = fitter.diversity_projection()?;
+    if projection.rms_nm > 0.0 && !projection.is_spanned() {
+        return Err(Error::Scene(format!(
+            "{}: the amplitude of the diversities is unknown (estimate.fit_optics with \"defocus\", or estimate.diversity_error), which \
+             channels determine where the modes span every diversity: raise modes.ncpa_count or leave both out",
+            fitter.scene.name()
+        )));
+    }
+    Ok(projection.coefficients_nm)
+}
+
+/// The amplitude of the first diversity, from the relative error that was found.
+fn fitted_defocus(channels: &[ChannelFit], found: &Normal, share: f64) -> Option<FittedOptic> {
+    let of = |fitter: &ModalFitter| fitter.scene.image.diversity_focus_waves_rms;
+    let scene = channels.iter().map(|(fitter, _)| of(fitter)).find(|waves| *waves != 0.0)?;
+    let (value, sigma) = match found.amplitude() {
+        Some((delta, sigma)) => (scene * (1.0 + delta), scene.abs() * sigma),
+        None => (scene, f64::INFINITY),
+    };
+    Some(FittedOptic {
+        optic: Optic::DEFOCUS,
+        number: None,
+        segment: None,
+        scene,
+        value,
+        sigma,
+        identifiable_share: share,
+    })
+}
+
+/// Normal equations and their solution.
+struct Normal {
+    /// Modes, and behind them δ where it is unknown.
+    solution: Array1<f64>,
+    covariance: Array2<f64>,
+    /// N.
+    matrix: Array2<f64>,
+    has_amplitude: bool,
+    /// Inverse variance of the prior of δ; 0 for none.
+    prior: f64,
+}
+
+impl Normal {
+    fn new(likelihoods: &[Likelihood], has_amplitude: bool, prior: f64) -> Result<Self> {
+        let modes = likelihoods[0].coefficients_nm.len();
+        let size = modes + usize::from(has_amplitude);
+        let (mut matrix, mut right) = (Array2::zeros((size, size)), Array1::zeros(size));
+        for channel in likelihoods {
+            let design = design(channel, has_amplitude)?;
+            let weighed = design.dot(&channel.information);
+            matrix += &weighed.dot(&design.t());
+            right += &weighed.dot(&channel.coefficients_nm);
+            if let Some(gradient) = &channel.gradient {
+                right += &design.dot(gradient);
+            }
+        }
+        if has_amplitude {
+            matrix[[modes, modes]] += prior;
+        }
+        let covariance = pseudo_inverse(&matrix, null_floor(size, size))?;
+        Ok(Self { solution: covariance.dot(&right), covariance, matrix, has_amplitude, prior })
+    }
+
+    /// δ and its error bar, where it is unknown.
+    fn amplitude(&self) -> Option<(f64, f64)> {
+        let last = self.solution.len() - 1;
+        self.has_amplitude.then(|| (self.solution[last], self.covariance[[last, last]].max(0.0).sqrt()))
+    }
+
+    /// Share of the information on δ that the modes leave.
+    fn share_of_amplitude(&self, likelihoods: &[Likelihood]) -> f64 {
+        let all: f64 = likelihoods
+            .iter()
+            .map(|channel| channel.diversity_nm.dot(&channel.information.dot(&channel.diversity_nm)))
+            .sum();
+        let last = self.solution.len() - 1;
+        // In a null direction N⁺ has a variance, too, and the part of N along δ that the modes reproduce is what matters.
+        let modes = self.matrix.slice(s![..last, ..last]).to_owned();
+        let cross = self.matrix.slice(s![..last, last]);
+        let reproduced =
+            pseudo_inverse(&modes, null_floor(last, last)).map_or(all, |inverse| cross.dot(&inverse.dot(&cross)));
+        if all > 0.0 { ((all - reproduced) / all).max(0.0) } else { 0.0 }
+    }
+
+    /// Reduced χ² of the channels about the solution, and its degrees of freedom; (1, 0) where there are none.
+    fn disagreement(&self, likelihoods: &[Likelihood]) -> (f64, f64) {
+        let rank = |matrix: &Array2<f64>| fisher::rank(matrix, null_floor(matrix.nrows(), matrix.nrows())) as f64;
+        let (mut chi2, mut freedom) = (0.0, -rank(&self.matrix));
+        for channel in likelihoods {
+            let Ok(design) = design(channel, self.has_amplitude) else { continue };
+            let off = &channel.coefficients_nm - &design.t().dot(&self.solution);
+            chi2 += off.dot(&channel.information.dot(&off));
+            if let Some(gradient) = &channel.gradient {
+                // The square of off + Λ⁺ g.
+                let floor = null_floor(gradient.len(), gradient.len());
+                let Ok(covariance) = pseudo_inverse(&channel.information, floor) else { continue };
+                chi2 += 2.0 * off.dot(gradient) + gradient.dot(&covariance.dot(gradient));
+            }
+            freedom += rank(&channel.information);
+        }
+        if let Some((delta, _)) = self.amplitude().filter(|_| self.prior > 0.0) {
+            (chi2, freedom) = (chi2 + delta * delta * self.prior, freedom + 1.0);
+        }
+        if freedom >= 1.0 { (chi2 / freedom, freedom) } else { (1.0, 0.0) }
+    }
+}
+
+/// [1 p]ᵀ of a channel, or 1.
+fn design(channel: &Likelihood, has_amplitude: bool) -> Result<Array2<f64>> {
+    let own = Array2::eye(channel.coefficients_nm.len());
+    if !has_amplitude {
+        return Ok(own);
+    }
+    let last = channel.diversity_nm.view().insert_axis(Axis(0));
+    concatenate(Axis(0), &[own.view(), last]).map_err(|error| Error::Internal(error.to_string()))
+}

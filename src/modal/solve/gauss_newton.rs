@@ -1,0 +1,216 @@
+//! Gauss-Newton matrix Jᵀ W J: weighted products over the pixels of the derivatives by the modes, computed in tiles of pixels,
+//! because the derivatives of 2,400 modes at a million pixels would take 20 GB.
+//!
+//! A fitted flux and a fitted background have rows of their own in J: the PSF, and ones. They are projected out of the
+//! finished matrix.
+
+use crate::imaging::LinearModel;
+use cophase_numerics::product::{Matrix, MatrixMut};
+use ndarray::{Array1, Array2, ArrayView2, s};
+use rayon::prelude::*;
+
+/// Rows of a product in one task. Only the lower triangle is needed: a strip of this many rows computes half a square of them
+/// in excess.
+const STRIP: usize = 128;
+/// Share of a nuisance row's squared norm, after the rows before it were projected out, below which it is a copy of them:
+/// rounding of sums over 10⁴ pixels.
+const DEGENERATE_SHARE: f64 = 1e-13;
+
+/// Rows that a fitted flux and background add to those of the modes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::modal) enum Nuisances {
+    None,
+    Flux,
+    FluxAndBackground,
+}
+
+impl Nuisances {
+    pub(in crate::modal) fn new(fit_flux: bool, fit_background: bool) -> Self {
+        match (fit_flux, fit_background) {
+            (false, _) => Self::None,
+            (true, false) => Self::Flux,
+            (true, true) => Self::FluxAndBackground,
+        }
+    }
+
+    pub(in crate::modal) fn count(self) -> usize {
+        self as usize
+    }
+}
+
+/// Rows of pixels of a tile whose derivatives, plain and weighted, take at most `bytes`; one at least.
+pub(in crate::modal) fn rows_of_tile(modes: usize, pixels: usize, bytes: usize) -> usize {
+    (bytes / bytes_of_row(modes, pixels)).clamp(1, pixels)
+}
+
+/// Bytes of one row of pixels in a tile.
+pub(in crate::modal) fn bytes_of_row(modes: usize, pixels: usize) -> usize {
+    // The modes, two nuisances at most, plain and weighted.
+    2 * (modes + 2) * pixels * size_of::<f64>()
+}
+
+/// Derivatives that are stored for products with other weights.
+pub(in crate::modal) struct StoredDerivatives(Array2<f64>);
+
+impl StoredDerivatives {
+    /// All of them: `[row, pixel]`.
+    pub(in crate::modal) fn new(linear: &LinearModel, nuisances: Nuisances) -> Self {
+        Self(derivatives(linear, nuisances, 0..linear.pixels()))
+    }
+
+    /// As [`products`], from the stored derivatives.
+    pub(in crate::modal) fn products(&self, weights: &[Vec<f64>]) -> Vec<Array2<f64>> {
+        let mut all = zeros(self.0.nrows(), weights.len());
+        add_products(&self.0, weights, 0, &mut all);
+        all.iter_mut().for_each(mirror);
+        all
+    }
+}
+
+/// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row × row, `[row, row]`: rows are
+/// the modes' derivatives per nm, for a flux of 1, and the nuisances. Computed in tiles of `tile` rows of pixels.
+pub(in crate::modal) fn products(
+    linear: &LinearModel,
+    nuisances: Nuisances,
+    weights: &[Vec<f64>],
+    tile: usize,
+) -> Vec<Array2<f64>> {
+    let m = linear.pixels();
+    let mut all = zeros(linear.modes() + nuisances.count(), weights.len());
+    for first in (0..m).step_by(tile) {
+        let tile = derivatives(linear, nuisances, first..m.min(first + tile));
+        add_products(&tile, weights, first * m, &mut all);
+    }
+    all.iter_mut().for_each(mirror);
+    all
+}
+
+/// Jᵀ v: inner products of the derivatives by the modes with some `vectors` over the pixels, `[mode, vector]`. Computed in
+/// tiles of `tile` rows of pixels.
+pub(in crate::modal) fn along(linear: &LinearModel, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
+    let m = linear.pixels();
+    let mut all = Array2::zeros((linear.modes(), vectors.len()));
+    for first in (0..m).step_by(tile) {
+        let rows = first..m.min(first + tile);
+        let tile = derivatives(linear, Nuisances::None, rows.clone());
+        for (vector, mut column) in vectors.iter().zip(all.columns_mut()) {
+            column += &tile.dot(&vector.slice(s![rows.start * m..rows.end * m]));
+        }
+    }
+    all
+}
+
+fn zeros(rows: usize, count: usize) -> Vec<Array2<f64>> {
+    (0..count).map(|_| Array2::zeros((rows, rows))).collect()
+}
+
+fn derivatives(linear: &LinearModel, nuisances: Nuisances, rows: std::ops::Range<usize>) -> Array2<f64> {
+    let (m, modes) = (linear.pixels(), linear.modes());
+    let mut tile = Array2::ones((modes + nuisances.count(), rows.len() * m));
+    linear.derivatives(rows.clone(), tile.slice_mut(s![..modes, ..]));
+    if nuisances != Nuisances::None {
+        let psf = &linear.psf()[rows.start * m..rows.end * m];
+        tile.row_mut(modes).iter_mut().zip(psf).for_each(|(value, h)| *value = *h);
+    }
+    tile
+}
+
+/// Adds a tile's part to the lower triangles; its first pixel is `first` of the image.
+fn add_products(tile: &Array2<f64>, weights: &[Vec<f64>], first: usize, all: &mut [Array2<f64>]) {
+    let mut weighted = Array2::zeros(tile.dim());
+    for (weight, product) in weights.iter().zip(all) {
+        let root: Vec<f64> = weight[first..first + tile.ncols()].iter().map(|w| w.sqrt()).collect();
+        let rows: Vec<_> = weighted.outer_iter_mut().zip(tile.outer_iter()).collect();
+        rows.into_par_iter().for_each(|(mut to, from)| {
+            to.iter_mut().zip(from).zip(&root).for_each(|((to, from), root)| *to = from * root);
+        });
+        add_gram(&weighted, product);
+    }
+}
+
+/// Adds a·aᵀ: the lower triangle, and the excess of its strips.
+fn add_gram(a: &Array2<f64>, product: &mut Array2<f64>) {
+    let (rows, columns) = a.dim();
+    let (Some(a), Some(product)) = (a.as_slice(), product.as_slice_mut()) else { return };
+    product.par_chunks_mut(STRIP * rows).enumerate().for_each(|(strip, out)| {
+        let (first, count) = (strip * STRIP, out.len() / rows);
+        let all = Matrix::from_rows(&a[..(first + count) * columns], first + count, columns);
+        let (mut out, _) = MatrixMut::from_rows(out, count, rows).split_at_column(first + count);
+        out.add_product(1.0, all.part(first..first + count, 0..columns), all.transpose());
+    });
+}
+
+fn mirror(matrix: &mut Array2<f64>) {
+    for i in 0..matrix.nrows() {
+        for j in 0..i {
+            matrix[[j, i]] = matrix[[i, j]];
+        }
+    }
+}
+
+/// Shares of the rows of a fitted flux and background in each other row, for some weights.
+pub(in crate::modal) struct NuisanceShares {
+    /// For each nuisance, the multiple of its row that is subtracted from each other row.
+    shares: Vec<Vec<f64>>,
+    modes: usize,
+}
+
+impl NuisanceShares {
+    /// From `products` with the weights of the fit, whose last rows are the nuisances.
+    pub(in crate::modal) fn new(products: &Array2<f64>, nuisances: Nuisances) -> Self {
+        let (mut rest, modes) = (products.clone(), products.nrows() - nuisances.count());
+        let mut shares = Vec::new();
+        for k in modes..products.nrows() {
+            let pivot = rest[[k, k]];
+            let share: Vec<f64> = if pivot > DEGENERATE_SHARE * products[[k, k]] {
+                rest.column(k).iter().enumerate().map(|(i, v)| if i == k { 0.0 } else { v / pivot }).collect()
+            } else {
+                vec![0.0; products.nrows()]
+            };
+            subtract_row(&mut rest, k, &share);
+            shares.push(share);
+        }
+        Self { shares, modes }
+    }
+
+    /// The modes' part of a matrix of products, with the nuisances projected out.
+    pub(in crate::modal) fn project_out(&self, mut products: Array2<f64>) -> Array2<f64> {
+        for (k, share) in (self.modes..).zip(&self.shares) {
+            subtract_row(&mut products, k, share);
+        }
+        products.slice(s![..self.modes, ..self.modes]).to_owned()
+    }
+}
+
+/// row_i ← row_i − share_i·row_k, on both sides of the product.
+fn subtract_row(products: &mut Array2<f64>, k: usize, share: &[f64]) {
+    let row = products.row(k).to_owned();
+    let own = row[k];
+    for (i, mut line) in products.outer_iter_mut().enumerate() {
+        for (j, value) in line.iter_mut().enumerate() {
+            // The same expression for [i, j] and [j, i], so that the matrix stays symmetric to the last bit.
+            *value += share[i] * share[j] * own - (share[i] * row[j] + share[j] * row[i]);
+        }
+    }
+}
+
+/// a·bᵀ of two row-major matrices, strip by strip on all threads.
+pub(in crate::modal) fn times_transposed(a: ArrayView2<f64>, b: ArrayView2<f64>) -> Array2<f64> {
+    let (a, b) = (a.as_standard_layout(), b.as_standard_layout());
+    let (rows, depth, columns) = (a.nrows(), a.ncols(), b.nrows());
+    let mut product = Array2::zeros((rows, columns));
+    if let (Some(a), Some(b), Some(out)) = (a.as_slice(), b.as_slice(), product.as_slice_mut())
+        && columns * depth > 0
+    {
+        let b = Matrix::from_rows(b, columns, depth).transpose();
+        out.par_chunks_mut(STRIP * columns).zip(a.par_chunks(STRIP * depth)).for_each(|(out, a)| {
+            let count = out.len() / columns;
+            let a = Matrix::from_rows(a, count, depth);
+            MatrixMut::from_rows(out, count, columns).assign_product(1.0, a, b);
+        });
+    }
+    product
+}
+
+#[cfg(test)]
+mod tests;
