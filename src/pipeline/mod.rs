@@ -51,6 +51,7 @@ mod warnings;
 pub use crate::control::{Control, Progress, Stage};
 pub use crate::loop_response::{Command, Commands, Corrections, ModeCorrection, SentCorrections};
 pub use crate::modal::{CombinedModes, PistonInteger, StaticMaps};
+pub use crate::scene::{Optic, Setting};
 pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};

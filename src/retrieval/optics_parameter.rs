@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::modal::has_diversity;
-use crate::scene::{Parameter, ParameterKind, SearchRange, System};
+use crate::scene::{Changes, Parameter, ParameterKind, SearchRange, System};
 
 /// Ratio to the least objective at which a search in one direction ends.
 const END_RATIO: f64 = 4.0;
@@ -26,7 +26,9 @@ impl SearchedParameter {
     /// objectives do not compare.
     pub(super) fn all(scene: &System) -> Vec<Self> {
         let each = Parameter::all().filter_map(|parameter| {
-            let search = parameter.search(scene)?;
+            // The filter of a scene that names its number of wavelengths is known.
+            let is_known = parameter.changes == Changes::Wavelengths && scene.estimate.wavelengths.is_some();
+            let search = parameter.search(&scene.pupil, &scene.image).filter(|_| !is_known)?;
             Some(Self { parameter, own: parameter.get(scene), search })
         });
         each.filter(|one| one.search.kind == ParameterKind::Telescope || has_diversity(&scene.image)).collect()

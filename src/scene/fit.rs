@@ -1,7 +1,7 @@
 //! Sections `[modes]` and `[estimate]`: modes and settings of an estimate.
 
-use super::Optic;
 use super::lists::NollRange;
+use super::parameter::Optic;
 use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};

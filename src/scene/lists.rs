@@ -1,8 +1,7 @@
 //! Values that are lists with a syntax of their own.
 
-use super::Optic;
 use super::value::{FromToml, LONGEST_LIST, Range, items};
-use super::words::{SlopeOrder, one_of};
+use super::words::SlopeOrder;
 use toml_edit::Value;
 
 /// Range of Zernike polynomials by Noll index (1 is piston).
@@ -125,38 +124,6 @@ impl FromToml for Vec<SlopeOrder> {
         items(value, |item| SlopeOrder::from_toml(item, range))
     }
     fn to_toml(&self) -> String {
-        words_to_toml(self)
-    }
-}
-
-/// A list of words in the syntax of TOML.
-fn words_to_toml<T: FromToml>(words: &[T]) -> String {
-    format!("[{}]", words.iter().map(FromToml::to_toml).collect::<Vec<_>>().join(", "))
-}
-
-impl FromToml for Optic {
-    fn accepted(_: &Range) -> String {
-        one_of(&Self::all().map(Self::word).collect::<Vec<_>>())
-    }
-    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
-        let word = value.as_str()?;
-        Self::all().find(|optic| optic.word() == word)
-    }
-    fn to_toml(&self) -> String {
-        format!("{:?}", self.word())
-    }
-}
-
-impl FromToml for Vec<Optic> {
-    fn accepted(range: &Range) -> String {
-        format!("a list of {}", Optic::accepted(range))
-    }
-    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
-        let optics: Self = items(value, |item| Optic::from_toml(item, range))?;
-        let twice = (1..optics.len()).any(|i| optics[..i].contains(&optics[i]));
-        (!twice).then_some(optics)
-    }
-    fn to_toml(&self) -> String {
-        words_to_toml(self)
+        format!("[{}]", self.iter().map(FromToml::to_toml).collect::<Vec<_>>().join(", "))
     }
 }

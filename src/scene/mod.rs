@@ -52,10 +52,10 @@ pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;
 pub use sections::Sections;
 pub use setting::Setting;
-pub(crate) use setting::SettingValue;
 pub use system::{System, SystemChannel};
 pub use telescope::{AberrationScene, ImageScene};
 pub(crate) use units::MAS_PER_RADIAN;
+pub(crate) use value::SettingValue;
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
     NcpaBasis, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentConvention,

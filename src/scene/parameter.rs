@@ -1,10 +1,13 @@
 //! Optical parameters: the numbers of the optics on which images depend. Fits, searches and checks of the optics, the words of
 //! `estimate.fit_optics` and their reference read this table: a parameter that is fitted is a row of it.
 
-use super::Setting;
-use super::sections::Sections;
+use super::pupil::PupilScene;
+use super::telescope::ImageScene;
+use super::value::{FromToml, Range, items};
+use super::words::one_of;
 use std::fmt;
 use std::ops::RangeInclusive;
+use toml_edit::Value;
 
 /// Step of a filter's width.
 const WIDTH_STEP: f64 = 1e-3;
@@ -41,9 +44,9 @@ pub(crate) struct Parameter {
     pub(crate) key: &'static str,
     /// What of a model changes with it.
     pub(crate) changes: Changes,
-    absence: fn(&Sections) -> Option<&'static str>,
-    step: fn(&Sections) -> f64,
-    search: fn(&Sections) -> Option<SearchRange>,
+    absence: fn(&PupilScene, &ImageScene) -> Option<&'static str>,
+    step: fn(&PupilScene, &ImageScene) -> f64,
+    search: fn(&PupilScene, &ImageScene) -> Option<SearchRange>,
     least_fault: fn(f64) -> f64,
 }
 
@@ -195,31 +198,35 @@ impl fmt::Debug for Optic {
     }
 }
 
+impl FromToml for Vec<Optic> {
+    fn accepted(_: &Range) -> String {
+        format!("a list of {}", one_of(&Optic::all().map(Optic::word).collect::<Vec<_>>()))
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        let named = |item: &Value| item.as_str().and_then(|word| Optic::all().find(|optic| optic.word() == word));
+        let optics: Self = items(value, named)?;
+        let twice = (1..optics.len()).any(|i| optics[..i].contains(&optics[i]));
+        (!twice).then_some(optics)
+    }
+    fn to_toml(&self) -> String {
+        format!("{:?}", self.iter().map(|optic| optic.word()).collect::<Vec<_>>())
+    }
+}
+
 impl Parameter {
     /// All, in the order in which a search tries them.
     pub(crate) fn all() -> impl Iterator<Item = &'static Self> {
         ROWS.iter().flat_map(|row| row.parameters)
     }
 
-    /// Its value; not a number only of a key that does not exist.
-    pub(crate) fn get(&self, sections: &Sections) -> f64 {
-        sections.setting(self.key).and_then(|setting| setting.value().number()).unwrap_or(f64::NAN)
-    }
-
-    /// Sets the value; other forms of the quantity give way.
-    pub(crate) fn set(&self, sections: &mut Sections, value: f64) {
-        let done = sections.apply(&Setting::new(self.key, value));
-        debug_assert!(done.is_ok(), "{done:?}");
-    }
-
-    /// What in `sections` has no such parameter, or an image that does not depend on it to first order.
-    pub(crate) fn absence(&self, sections: &Sections) -> Option<&'static str> {
-        (self.absence)(sections)
+    /// What in a scene has no such parameter, or an image that does not depend on it to first order.
+    pub(crate) fn absence(&self, pupil: &PupilScene, image: &ImageScene) -> Option<&'static str> {
+        (self.absence)(pupil, image)
     }
 
     /// Step of a difference of images that is their derivative by this parameter: about a twentieth of a pixel at the rim of a spot.
-    pub(crate) fn step(&self, sections: &Sections) -> f64 {
-        (self.step)(sections)
+    pub(crate) fn step(&self, pupil: &PupilScene, image: &ImageScene) -> f64 {
+        (self.step)(pupil, image)
     }
 
     /// Smallest difference of the images' value from the scene's that is a fault. The model is not exact: it has finitely many samples of
@@ -228,9 +235,9 @@ impl Parameter {
         (self.least_fault)(of_scene)
     }
 
-    /// Where the parameter is searched for in images that `sections` do not explain; `None` where it is not.
-    pub(crate) fn search(&self, sections: &Sections) -> Option<SearchRange> {
-        (self.search)(sections)
+    /// Where the parameter is searched for in images that a scene does not explain; `None` where it is not.
+    pub(crate) fn search(&self, pupil: &PupilScene, image: &ImageScene) -> Option<SearchRange> {
+        (self.search)(pupil, image)
     }
 }
 
@@ -244,14 +251,14 @@ impl PartialEq for Parameter {
 const USUAL: Parameter = Parameter {
     key: "",
     changes: Changes::Imaging,
-    absence: |_| None,
-    step: |_| f64::NAN,
-    search: |_| None,
+    absence: |_, _| None,
+    step: |_, _| f64::NAN,
+    search: |_, _| None,
     least_fault: |_| f64::INFINITY,
 };
 
 /// The table.
-static ROWS: [Row; 9] = [
+static ROWS: &[Row] = &[
     Row {
         word: "plate-scale",
         about: "pixels per λ/D",
@@ -260,9 +267,9 @@ static ROWS: [Row; 9] = [
         parameters: &[Parameter {
             key: "image.samples_per_lambda_over_d",
             changes: Changes::Samples,
-            step: |of| 1e-3 * of.image.samples_per_lambda_over_d,
-            search: |of| {
-                let sampling = of.image.samples_per_lambda_over_d;
+            step: |_, image| 1e-3 * image.samples_per_lambda_over_d,
+            search: |_, image| {
+                let sampling = image.samples_per_lambda_over_d;
                 Some(SearchRange {
                     kind: ParameterKind::Telescope,
                     range: 0.97 * sampling..=1.03 * sampling,
@@ -282,8 +289,8 @@ static ROWS: [Row; 9] = [
         parameters: &[Parameter {
             key: "pupil.rotation_deg",
             changes: Changes::Modes,
-            absence: |of| of.pupil.extent_m().is_none().then_some(FILE),
-            step: |_| 0.05,
+            absence: |pupil, _| pupil.extent_m().is_none().then_some(FILE),
+            step: |_, _| 0.05,
             least_fault: |_| 0.1,
             ..USUAL
         }],
@@ -296,8 +303,8 @@ static ROWS: [Row; 9] = [
         cause: None,
         parameters: &[Parameter {
             key: "image.diversity_focus_waves_rms",
-            absence: |of| of.image.diversity_file.is_some().then_some("a diversity from a file"),
-            step: |_| 5e-3,
+            absence: |_, image| image.diversity_file.is_some().then_some("a diversity from a file"),
+            step: |_, _| 5e-3,
             ..USUAL
         }],
     },
@@ -309,17 +316,15 @@ static ROWS: [Row; 9] = [
         parameters: &[Parameter {
             key: "image.bandwidth_fraction",
             changes: Changes::Wavelengths,
-            absence: |of| match &of.image {
-                image if image.filter_file.is_some() => Some("a filter from a file"),
+            absence: |_, image| match image.filter_file {
+                Some(_) => Some("a filter from a file"),
                 // The image depends on the square of the width: its derivative at 0 is 0.
-                image if image.bandwidth_fraction == 0.0 => Some("light of one wavelength"),
-                _ => None,
+                None => (image.bandwidth_fraction == 0.0).then_some("light of one wavelength"),
             },
-            step: |of| WIDTH_STEP.min(0.5 * of.image.bandwidth_fraction),
+            step: |_, image| WIDTH_STEP.min(0.5 * image.bandwidth_fraction),
             // The width of a filter from a file is known.
-            search: |of| {
-                let is_unknown = of.estimate.wavelengths.is_none() && of.image.filter_file.is_none();
-                is_unknown.then_some(SearchRange {
+            search: |_, image| {
+                image.filter_file.is_none().then_some(SearchRange {
                     kind: ParameterKind::Camera,
                     // From narrow-band filters, 1 to 2 %, to those of the atmosphere's windows, 15 to 20 %.
                     range: 0.0..=0.25,
@@ -338,10 +343,10 @@ static ROWS: [Row; 9] = [
         parameters: &[Parameter {
             key: "image.pixel_fill",
             // The image depends on the square of the side.
-            absence: |of| (of.image.pixel_fill == 0.0).then_some("a detector whose pixels are points"),
-            step: |of| FILL_STEP.min(0.5 * of.image.pixel_fill),
-            search: |of| {
-                of.image.has_samples_of_pixels().then_some(SearchRange {
+            absence: |_, image| (image.pixel_fill == 0.0).then_some("a detector whose pixels are points"),
+            step: |_, image| FILL_STEP.min(0.5 * image.pixel_fill),
+            search: |_, image| {
+                image.has_samples_of_pixels().then_some(SearchRange {
                     kind: ParameterKind::Camera,
                     range: 0.0..=1.2,
                     first_step: 0.5,
@@ -359,13 +364,12 @@ static ROWS: [Row; 9] = [
         cause: None,
         parameters: &[Parameter {
             key: "pupil.central_obscuration_m",
-            absence: |of| match &of.pupil {
-                pupil if pupil.extent_m().is_none() => Some(FILE),
-                pupil if pupil.central_obscuration_m == 0.0 => Some("a pupil without an obscuration"),
-                _ => None,
+            absence: |pupil, _| match pupil.extent_m() {
+                None => Some(FILE),
+                Some(_) => (pupil.central_obscuration_m == 0.0).then_some("a pupil without an obscuration"),
             },
-            step: |of| OBSCURATION_STEP * of.pupil.extent_m().unwrap_or(1.0),
-            search: |of| shadow(of, of.pupil.central_obscuration_m, 0.5, 1e-2, 2.5e-4),
+            step: |pupil, _| OBSCURATION_STEP * pupil.extent_m().unwrap_or(1.0),
+            search: |pupil, _| shadow(pupil, pupil.central_obscuration_m, 0.5, 1e-2, 2.5e-4),
             least_fault: |_| 0.05,
             ..USUAL
         }],
@@ -377,13 +381,12 @@ static ROWS: [Row; 9] = [
         cause: None,
         parameters: &[Parameter {
             key: "pupil.spider_width_m",
-            absence: |of| match &of.pupil {
-                pupil if pupil.extent_m().is_none() => Some(FILE),
-                pupil if pupil.spider_width_m == 0.0 => Some("a pupil without a spider"),
-                _ => None,
+            absence: |pupil, _| match pupil.extent_m() {
+                None => Some(FILE),
+                Some(_) => (pupil.spider_width_m == 0.0).then_some("a pupil without a spider"),
             },
-            step: |of| SPIDER_STEP_M.min(0.5 * of.pupil.spider_width_m),
-            search: |of| shadow(of, of.pupil.spider_width_m, 0.01, 1e-3, 5e-5),
+            step: |pupil, _| SPIDER_STEP_M.min(0.5 * pupil.spider_width_m),
+            search: |pupil, _| shadow(pupil, pupil.spider_width_m, 0.01, 1e-3, 5e-5),
             least_fault: |_| 0.005,
             ..USUAL
         }],
@@ -412,13 +415,13 @@ static ROWS: [Row; 9] = [
 const FILE: &str = "a pupil from a file";
 
 const fn illumination(key: &'static str) -> Parameter {
-    Parameter { key, step: |_| ILLUMINATION_STEP, least_fault: |_| 0.02, ..USUAL }
+    Parameter { key, step: |_, _| ILLUMINATION_STEP, least_fault: |_| 0.02, ..USUAL }
 }
 
 /// Search for a shadow of the pupil, which is `own` in the scene; steps are fractions of the pupil's width, for half a percent of its area and
 /// less: on Keck 10 cm of an obscuration's diameter and 1 cm of the spider's width.
-fn shadow(of: &Sections, own: f64, farthest: f64, first_step: f64, last_step: f64) -> Option<SearchRange> {
-    of.pupil.extent_m().map(|width_m| SearchRange {
+fn shadow(pupil: &PupilScene, own: f64, farthest: f64, first_step: f64, last_step: f64) -> Option<SearchRange> {
+    pupil.extent_m().map(|width_m| SearchRange {
         kind: ParameterKind::Telescope,
         range: 0.0..=(farthest * width_m).max(1.5 * own),
         first_step: first_step * width_m,

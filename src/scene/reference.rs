@@ -1,6 +1,6 @@
 //! Reference of all keys, generated from the parser's table.
 
-use super::Optic;
+use super::parameter::Optic;
 use super::section_keys::SectionKeys;
 use std::fmt::Write;
 

@@ -4,7 +4,8 @@
 use super::edit::after_settings;
 use super::own_form::rounded;
 use super::sections::Sections;
-use super::{Scene, System, forms};
+use super::value::SettingValue;
+use super::{Parameter, Scene, System, forms};
 use crate::{Error, Result};
 use std::fmt;
 
@@ -14,35 +15,6 @@ pub struct Setting {
     key: String,
     value: SettingValue,
     text: String,
-}
-
-/// Value of a key.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) enum SettingValue {
-    Number(f64),
-    Numbers(Vec<f64>),
-    Flag(bool),
-}
-
-impl SettingValue {
-    pub(crate) fn number(&self) -> Option<f64> {
-        match self {
-            Self::Number(number) => Some(*number),
-            _ => None,
-        }
-    }
-}
-
-impl From<f64> for SettingValue {
-    fn from(number: f64) -> Self {
-        Self::Number(number)
-    }
-}
-
-impl From<bool> for SettingValue {
-    fn from(flag: bool) -> Self {
-        Self::Flag(flag)
-    }
 }
 
 impl Setting {
@@ -104,7 +76,7 @@ impl Sections {
     ///
     /// # Errors
     /// [`Error::Internal`] for a key that does not exist or has values of another type.
-    pub(super) fn apply(&mut self, Setting { key, value, .. }: &Setting) -> Result<()> {
+    fn apply(&mut self, Setting { key, value, .. }: &Setting) -> Result<()> {
         let (section, name) = key.split_once('.').unwrap_or_default();
         if !self.set_value(section, name, Some(value)) {
             return Err(Error::Internal(format!("no setting of {key} is {value:?}")));
@@ -114,6 +86,19 @@ impl Sections {
             self.set_value(section, other, None);
         }
         Ok(())
+    }
+}
+
+impl Parameter {
+    /// Its value; not a number only of a key that does not exist.
+    pub(crate) fn get(&self, sections: &Sections) -> f64 {
+        sections.setting(self.key).and_then(|setting| setting.value.number()).unwrap_or(f64::NAN)
+    }
+
+    /// Sets the value; other forms of the quantity give way.
+    pub(crate) fn set(&self, sections: &mut Sections, value: f64) {
+        let done = sections.apply(&Setting::new(self.key, value));
+        debug_assert!(done.is_ok(), "{done:?}");
     }
 }
 

@@ -2,8 +2,7 @@
 //! misspelt keys and reference are generated from that declaration.
 
 use super::purpose::Purpose;
-use super::setting::SettingValue;
-use super::value::{FromToml, Range};
+use super::value::{FromToml, Range, SettingValue};
 use crate::{Error, Result};
 use toml_edit::{Item, TableLike};
 

@@ -1,6 +1,5 @@
 //! Values of keys: read from TOML, checked against their range, written back.
 
-use super::setting::SettingValue;
 use std::fmt::{self, Display};
 use std::path::PathBuf;
 use toml_edit::Value;
@@ -81,6 +80,35 @@ impl Display for Range {
 /// Bound of a range; large numbers in exponential notation.
 fn brief(x: f64) -> String {
     if x.abs() >= 1e6 { format!("{x:e}") } else { x.to_string() }
+}
+
+/// Value of a key, where the key is known at run time alone.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum SettingValue {
+    Number(f64),
+    Numbers(Vec<f64>),
+    Flag(bool),
+}
+
+impl SettingValue {
+    pub(crate) fn number(&self) -> Option<f64> {
+        match self {
+            Self::Number(number) => Some(*number),
+            _ => None,
+        }
+    }
+}
+
+impl From<f64> for SettingValue {
+    fn from(number: f64) -> Self {
+        Self::Number(number)
+    }
+}
+
+impl From<bool> for SettingValue {
+    fn from(flag: bool) -> Self {
+        Self::Flag(flag)
+    }
 }
 
 /// Type of a key's value.

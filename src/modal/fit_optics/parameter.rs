@@ -45,13 +45,13 @@ fn starts_of(scene: &System, recipe: &Recipe, optic: Optic) -> Result<Vec<Start>
     if optic == Optic::REFLECTIVITIES {
         return amplitudes(scene, recipe, &missing);
     }
-    if let Some(what) = optic.parameters().iter().find_map(|parameter| parameter.absence(scene)) {
+    if let Some(what) = optic.parameters().iter().find_map(|parameter| parameter.absence(&scene.pupil, &scene.image)) {
         return missing(what);
     }
     let start = |parameter: &'static Parameter| Start {
         parameter: FittedParameter::Number(optic, parameter),
         value: parameter.get(scene),
-        step: parameter.step(scene),
+        step: parameter.step(&scene.pupil, &scene.image),
     };
     Ok(optic.parameters().iter().map(start).collect())
 }

@@ -13,7 +13,9 @@ pub(super) const MOST_LEFT: f64 = 0.5;
 
 /// The optical parameters that `scene` has, as a value of `estimate.fit_optics`.
 pub(super) fn parameters(scene: &Scene) -> Vec<Optic> {
-    let is_there = |optic: &Optic| optic.parameters().iter().all(|parameter| parameter.absence(scene).is_none());
+    let is_there = |optic: &Optic| {
+        optic.parameters().iter().all(|parameter| parameter.absence(&scene.pupil, &scene.image).is_none())
+    };
     Optic::examined().into_iter().filter(is_there).collect()
 }
 
