@@ -13,6 +13,8 @@ use toml_edit::Value;
 const WIDTH_STEP: f64 = 1e-3;
 /// Step of the side of a pixel's square: it changes the highest frequencies of the image by 2 %.
 const FILL_STEP: f64 = 0.03;
+/// Step of the width of the diffusion, in pixels: at 0.4 pixels it changes the highest frequencies of the image by 1 to 4 %.
+const DIFFUSION_STEP: f64 = 0.01;
 /// Step of the obscuration's diameter relative to the pupil: the pupil's area changes by 0.1 % at a third of its diameter.
 const OBSCURATION_STEP: f64 = 2e-3;
 /// Step of the spider's width, m.
@@ -354,6 +356,22 @@ static ROWS: &[Row] = &[
                 })
             },
             least_fault: |_| 0.05,
+            ..USUAL
+        }],
+    },
+    Row {
+        word: "charge-diffusion",
+        about: "width of the diffusion of charge between pixels",
+        // Its effect is nearly that of the pixels' side, which is examined.
+        check: None,
+        cause: None,
+        parameters: &[Parameter {
+            key: "image.charge_diffusion_pixels",
+            // The image depends on the square of the width.
+            absence: |_, image| {
+                (image.charge_diffusion_pixels == 0.0).then_some("a detector without a diffusion of charge")
+            },
+            step: |_, image| DIFFUSION_STEP.min(0.5 * image.charge_diffusion_pixels),
             ..USUAL
         }],
     },

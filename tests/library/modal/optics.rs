@@ -68,6 +68,24 @@ fn a_filters_width_is_modelled_and_found() {
 }
 
 #[test]
+#[ignore = "merge: 2 s"]
+fn the_diffusion_of_charge_is_found() {
+    let diffuse = |pixels: &str| scene(&[("image.charge_diffusion_pixels", pixels), super::EXPLAINED_SNR]);
+    let made = diffuse("0.4");
+    let asked = diffuse("0.3").with(&[("estimate.fit_optics", "[\"charge-diffusion\"]")]).unwrap();
+    let (estimator, residual_nm, promised_nm) = found(&made, &asked);
+    let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
+    assert!(optic.is_identifiable() && optic.key() == "image.charge_diffusion_pixels", "{optic:?}");
+    assert!((optic.value - 0.4).abs() < 4.0 * optic.sigma && optic.sigma < 0.02, "{optic:?}");
+    for (residual_nm, promised_nm) in residual_nm.iter().zip(promised_nm) {
+        // As in the tests above.
+        assert!(*residual_nm < 1.5 * promised_nm, "{residual_nm} {promised_nm}");
+    }
+    let none = sentence_of(read_of(&asked.with(&[("image.charge_diffusion_pixels", "0")]).unwrap()));
+    assert!(none.contains("\"charge-diffusion\"") && none.contains("without a diffusion of charge"), "{none}");
+}
+
+#[test]
 #[ignore = "merge: 3 s"]
 fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     // As it is sampled where a plate scale is fitted.
@@ -116,23 +134,27 @@ fn read_of(scene: &Scene) -> cophase::Result<()> {
     estimate_scene(scene, cube, &mut |_| panic!("no chain is needed"), &Control::default()).map(|_| ())
 }
 
+/// The sentence of a refusal.
+fn sentence_of(outcome: cophase::Result<()>) -> String {
+    match outcome {
+        Err(Error::Scene(sentence) | Error::Image(sentence)) => sentence,
+        other => panic!("{other:?}"),
+    }
+}
+
 #[test]
 fn unidentifiable_optics_are_refused_with_the_reason() {
     let asked = |what: &str| scene(&[("estimate.fit_optics", what)]);
-    let sentence = |outcome: cophase::Result<()>| match outcome {
-        Err(Error::Scene(sentence) | Error::Image(sentence)) => sentence,
-        other => panic!("{other:?}"),
-    };
     // There is no image yet.
-    let early = sentence(ModalFitter::new(&asked("[\"rotation\"]"), false).map(|_| ()));
+    let early = sentence_of(ModalFitter::new(&asked("[\"rotation\"]"), false).map(|_| ()));
     assert!(early.contains("fits the telescope to images"), "{early}");
-    let with = |settings: &[(&str, &str)]| sentence(asked("[\"rotation\"]").with(settings).map(|_| ()));
+    let with = |settings: &[(&str, &str)]| sentence_of(asked("[\"rotation\"]").with(settings).map(|_| ()));
     assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs noise weights"));
     assert!(with(&[("estimate.budget_nm", "1")]).contains("fit_optics"));
     assert!(with(&[("estimate.method", "full-phase")]).contains("fit_optics"));
     assert!(with(&[("estimate.fit_optics", "[\"rotation\", \"rotation\"]")]).contains("\"plate-scale\""));
-    let narrow = sentence(read_of(&asked("[\"bandwidth\"]")));
+    let narrow = sentence_of(read_of(&asked("[\"bandwidth\"]")));
     assert!(narrow.contains("one wavelength"), "{narrow}");
     // An image that shows nothing of them.
-    assert!(sentence(read_of(&asked("[\"rotation\"]"))).contains("100"));
+    assert!(sentence_of(read_of(&asked("[\"rotation\"]"))).contains("100"));
 }
