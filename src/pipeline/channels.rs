@@ -1,6 +1,5 @@
 //! Modal estimate: the images of each channel fitted by its own scene; the fits of several are combined.
 
-use super::budget::ErrorTerm;
 use super::consistency::Electrons;
 use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::explain::explain;
@@ -13,6 +12,7 @@ use super::warnings::{contradiction_warning, integers_warning};
 use crate::control::{Control, Stage};
 use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, Status, has_diversity, joint};
 use crate::scene::{Optic, Scene, Sections, Weighting};
+use crate::statics::ErrorTerm;
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Axis, concatenate};

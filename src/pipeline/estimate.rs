@@ -1,6 +1,5 @@
 //! Estimate: the static wavefront behind images, with error bars, by either method.
 
-use super::budget::ErrorTerm;
 use super::modal_errors::ModalErrors;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
@@ -11,7 +10,7 @@ use crate::modal::{CombinedModes, FittedImage, ModalFitter, PistonInteger, Stati
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Scene};
-use crate::statics::Iteration;
+use crate::statics::{ErrorTerm, Iteration};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use std::sync::Arc;

@@ -1,7 +1,6 @@
 //! Maximum a posteriori (MAP) estimate: the wavefront behind each exposure of a sequence, and the static errors that all
 //! share.
 
-use super::budget::ErrorTerm;
 use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
 use super::estimate::{Basis, Estimate, Figures, MapSummary, MethodResult, OpticalParameter, Run};
 use super::outcome::ImageOutcome;
@@ -15,7 +14,7 @@ use crate::modal::{ImageReport, Status};
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange, RetrievalReport};
 use crate::scene::{AoKnowledge, Scene, SensorScene, Telemetry};
-use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
+use crate::statics::{ErrorTerm, Iteration, NcpaFamily, StaticsSettings};
 use crate::statistics::upper_median;
 use crate::telescope::{Telescope, unit_remark};
 use crate::{Error, Result};
@@ -148,6 +147,7 @@ pub(super) fn estimate(
     remarks.extend(unit_remark(&found.scene)?);
     let pupil = found.pupil.clone();
     let [phasing_nm, ncpa_nm] = last.error_budget.total_nm;
+    let contributes = |term: &&ErrorTerm| term.phasing_nm > 0.0 || term.ncpa_nm > 0.0;
     Ok(Estimate {
         policy: *policy,
         channels: names(&with),
@@ -157,7 +157,7 @@ pub(super) fn estimate(
         figures: Figures::new(&pupil, &last.maps, [phasing_nm, ncpa_nm, f64::NAN])?,
         maps: last.maps.clone(),
         sigma_maps: last.sigma_maps.clone(),
-        error_budget: error_budget(last),
+        error_budget: last.error_budget.terms.iter().filter(contributes).cloned().collect(),
         images: outcomes,
         reduced_chi2: last.reduced_chi2,
         is_sequence: true,
@@ -277,15 +277,4 @@ fn optics(found: &SequenceResult) -> Vec<OpticalParameter> {
         identifiable: f64::NAN,
     };
     found.optics.changes.iter().map(parameter).collect()
-}
-
-/// Terms of an iteration's error bars: the part that the images average out, and the errors that all of them share.
-fn error_budget(last: &Iteration) -> Vec<ErrorTerm> {
-    let terms = last.error_budget.terms.iter().filter(|term| term.phasing_nm > 0.0 || term.ncpa_nm > 0.0);
-    let term = |term: &statics::BudgetTerm| ErrorTerm {
-        name: term.source.name().into(),
-        phasing_nm: term.phasing_nm,
-        ncpa_nm: term.ncpa_nm,
-    };
-    terms.map(term).collect()
 }

@@ -11,7 +11,6 @@
 //! static errors from the turbulence. Both end in the same type.
 
 mod absolute_pistons;
-mod budget;
 mod channels;
 mod check;
 mod consistency;
@@ -52,8 +51,7 @@ pub use crate::control::{Control, Progress, Stage};
 pub use crate::loop_response::{Command, Commands, Corrections, ModeCorrection, SentCorrections};
 pub use crate::modal::{CombinedModes, PistonInteger, StaticMaps};
 pub use crate::scene::{Optic, Setting};
-pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
-pub use budget::ErrorTerm;
+pub use crate::statics::{ErrorBudget, ErrorTerm, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
 pub use estimate::{
     Basis, Comparison, Estimate, Figure, Figures, MapSummary, MethodResult, ModalSummary, OpticalParameter, Run,

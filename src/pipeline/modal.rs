@@ -1,6 +1,5 @@
 //! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and remarks.
 
-use super::budget::ErrorTerm;
 use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
@@ -11,6 +10,7 @@ use crate::metrics::MapGram;
 use crate::modal::{self, Combination, FittedOptic, Model};
 use crate::modes::Group;
 use crate::scene::NollRange;
+use crate::statics::ErrorTerm;
 use crate::telescope::unit_remark;
 use ndarray::Array2;
 use std::sync::Arc;

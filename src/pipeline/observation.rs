@@ -5,13 +5,13 @@
 //! all images share (`estimate.diversity_error`) do not. A candidate whose estimate is flagged, or whose residual is beyond three
 //! error bars, is not recommended: it does not find the wavefront of the scene's `[aberrations]`.
 
-use super::budget::ErrorTerm;
 use super::estimate::Estimate;
 use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
 use crate::control::{Control, Stage};
 use crate::scene::{Method, Optic, Scene};
+use crate::statics::ErrorTerm;
 use crate::{Error, Result, source};
 use std::path::Path;
 

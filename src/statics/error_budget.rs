@@ -2,7 +2,7 @@
 
 /// Source of an expected error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ErrorSource {
+pub(crate) enum ErrorSource {
     /// Noise and turbulence, averaged over the images: falls as one over the root of their number.
     NoiseAndTurbulence,
     /// Error of the diversity (`estimate.diversity_error`), common to all images.
@@ -17,17 +17,8 @@ pub enum ErrorSource {
 }
 
 impl ErrorSource {
-    /// All sources, in the order of an [`ErrorBudget`].
-    pub const ALL: [Self; 5] = [
-        Self::NoiseAndTurbulence,
-        Self::DiversityError,
-        Self::UnknownLoopResponse,
-        Self::NcpaBeyondModes,
-        Self::CompensatedSegments,
-    ];
-
-    /// Name for reports.
-    pub fn name(self) -> &'static str {
+    /// Name of its term.
+    fn name(self) -> &'static str {
         match self {
             Self::NoiseAndTurbulence => "noise and turbulence averaged over the images",
             Self::DiversityError => "diversity error",
@@ -38,14 +29,15 @@ impl ErrorSource {
     }
 }
 
-/// Term of an error budget: RMS over the pupil, piston, tip and tilt removed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BudgetTerm {
-    /// Source of the error.
-    pub source: ErrorSource,
-    /// Expected error of the phasing, nm.
+/// One contribution to the error bars, RMS over the pupil with piston, tip and tilt removed. The squares of all terms of
+/// an estimate add up to the square of its error bar.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorTerm {
+    /// What contributes: `noise`, `scatter between images`, `diversity`, …
+    pub name: String,
+    /// Contribution to the phasing, nm RMS.
     pub phasing_nm: f64,
-    /// Expected error of the NCPA, nm.
+    /// Contribution to the NCPA, nm RMS.
     pub ncpa_nm: f64,
 }
 
@@ -54,8 +46,8 @@ pub struct BudgetTerm {
 pub struct ErrorBudget {
     /// Expected RMS error over the pupil, phasing and NCPA, piston, tip and tilt removed, nm.
     pub total_nm: [f64; 2],
-    /// One term for each of [`ErrorSource::ALL`]; for either group the squares add up to the total's, to rounding.
-    pub terms: Vec<BudgetTerm>,
+    /// One term for each source, 0 where it does not contribute; for either group the squares add up to the total's, to rounding.
+    pub terms: Vec<ErrorTerm>,
 }
 
 impl ErrorBudget {
@@ -68,20 +60,21 @@ impl ErrorBudget {
         loop_response_nm: f64,
     ) -> Self {
         let compensated_nm = (total_nm[0].powi(2) - phasing_nm.powi(2)).max(0.0).sqrt();
-        let ncpa = |source, ncpa_nm| BudgetTerm { source, phasing_nm: 0.0, ncpa_nm };
+        let term =
+            |source: ErrorSource, phasing_nm, ncpa_nm| ErrorTerm { name: source.name().into(), phasing_nm, ncpa_nm };
         let terms = vec![
-            BudgetTerm { source: ErrorSource::NoiseAndTurbulence, phasing_nm, ncpa_nm },
-            ncpa(ErrorSource::DiversityError, diversity_nm),
-            ncpa(ErrorSource::UnknownLoopResponse, loop_response_nm),
-            ncpa(ErrorSource::NcpaBeyondModes, 0.0),
-            BudgetTerm { source: ErrorSource::CompensatedSegments, phasing_nm: compensated_nm, ncpa_nm: 0.0 },
+            term(ErrorSource::NoiseAndTurbulence, phasing_nm, ncpa_nm),
+            term(ErrorSource::DiversityError, 0.0, diversity_nm),
+            term(ErrorSource::UnknownLoopResponse, 0.0, loop_response_nm),
+            term(ErrorSource::NcpaBeyondModes, 0.0, 0.0),
+            term(ErrorSource::CompensatedSegments, compensated_nm, 0.0),
         ];
         Self { total_nm, terms }
     }
 
     /// Terms of phasing and NCPA from one source, nm.
-    pub fn term_nm(&self, source: ErrorSource) -> [f64; 2] {
-        let terms = self.terms.iter().filter(|term| term.source == source);
+    pub(crate) fn term_nm(&self, source: ErrorSource) -> [f64; 2] {
+        let terms = self.terms.iter().filter(|term| term.name == source.name());
         terms.map(|term| [term.phasing_nm, term.ncpa_nm]).next().unwrap_or_default()
     }
 
@@ -99,7 +92,7 @@ impl ErrorBudget {
     /// Adds NCPA of `rms_nm` beyond the modes.
     pub(super) fn add_beyond_modes(&mut self, rms_nm: f64) {
         self.total_nm[1] = self.total_nm[1].hypot(rms_nm);
-        for term in self.terms.iter_mut().filter(|term| term.source == ErrorSource::NcpaBeyondModes) {
+        for term in self.terms.iter_mut().filter(|term| term.name == ErrorSource::NcpaBeyondModes.name()) {
             term.ncpa_nm = term.ncpa_nm.hypot(rms_nm);
         }
     }
@@ -113,8 +106,7 @@ mod tests {
     fn squares_of_the_terms_add_up_to_the_total() {
         let mut budget = ErrorBudget::new([5.0, 13.0], [3.0, 5.0], 12.0, 0.0);
         budget.add_beyond_modes(84.0);
-        assert_eq!(budget.terms.iter().map(|term| term.source).collect::<Vec<_>>(), ErrorSource::ALL);
-        let sum = |of: fn(&BudgetTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
+        let sum = |of: fn(&ErrorTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
         assert_eq!((sum(|term| term.phasing_nm), sum(|term| term.ncpa_nm)), (5.0, 85.0));
         assert_eq!((budget.total_nm, budget.averaged_nm()), ([5.0, 85.0], [3.0, 5.0]));
         assert_eq!(budget.term_nm(ErrorSource::CompensatedSegments), [4.0, 0.0]);

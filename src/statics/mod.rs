@@ -31,7 +31,8 @@ mod static_errors;
 mod static_modes;
 mod wavefront_source;
 
-pub use error_budget::{BudgetTerm, ErrorBudget, ErrorSource};
+pub(crate) use error_budget::ErrorSource;
+pub use error_budget::{ErrorBudget, ErrorTerm};
 pub use iterate::estimate_static_errors;
 pub use iteration::Iteration;
 pub use ncpa_basis::NcpaFamily;
