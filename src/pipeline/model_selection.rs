@@ -62,9 +62,9 @@ impl Extension {
                 sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last });
             }
             Self::Fitted(optic) => {
-                match extent_m {
-                    _ if optic == Optic::SPIDERS => sections.pupil.spider_width_m = SPIDER_M,
-                    Some(extent_m) if optic == Optic::OBSCURATION => {
+                match (optic, extent_m) {
+                    (Optic::SPIDERS, _) => sections.pupil.spider_width_m = SPIDER_M,
+                    (Optic::OBSCURATION, Some(extent_m)) => {
                         sections.pupil.central_obscuration_m = OBSCURATION * extent_m;
                     }
                     _ => {}
@@ -78,8 +78,8 @@ impl Extension {
         match self {
             Self::SegmentTilts => "tip and tilt of each segment".into(),
             Self::ZernikesTo(last) => format!("Zernikes to Noll {last}"),
-            Self::Fitted(optic) if optic == Optic::OBSCURATION => "a central obscuration".into(),
-            Self::Fitted(optic) if optic == Optic::SPIDERS => "a spider".into(),
+            Self::Fitted(Optic::OBSCURATION) => "a central obscuration".into(),
+            Self::Fitted(Optic::SPIDERS) => "a spider".into(),
             Self::Fitted(optic) => optic.word().into(),
         }
     }
@@ -92,10 +92,8 @@ impl Extension {
             Self::ZernikesTo(wanted) => {
                 matches!(scene.modes.exact_zernikes, Some(NollRange::Span { last, .. }) if last >= wanted)
             }
-            Self::Fitted(optic) if optic == Optic::SPIDERS => !has_geometry || scene.pupil.spider_width_m > 0.0,
-            Self::Fitted(optic) if optic == Optic::OBSCURATION => {
-                !has_geometry || scene.pupil.central_obscuration_m > 0.0
-            }
+            Self::Fitted(Optic::SPIDERS) => !has_geometry || scene.pupil.spider_width_m > 0.0,
+            Self::Fitted(Optic::OBSCURATION) => !has_geometry || scene.pupil.central_obscuration_m > 0.0,
             Self::Fitted(_) => scene.modes.segment != SegmentModes::Piston,
         }
     }

@@ -24,8 +24,11 @@ const ILLUMINATION_STEP: f64 = 0.02;
 
 /// What `estimate.fit_optics` fits in addition to the modes: a number of the scene, some that belong together, or the light that each segment
 /// reflects.
-#[derive(Clone, Copy)]
-pub struct Optic(&'static Row);
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Optic {
+    /// Number of its row.
+    row: usize,
+}
 
 /// A word of `estimate.fit_optics`.
 struct Row {
@@ -109,44 +112,48 @@ impl Optic {
         while !is_equal(ROWS[row].word, word) {
             row += 1;
         }
-        Self(&ROWS[row])
+        Self { row }
+    }
+
+    fn row(self) -> &'static Row {
+        &ROWS[self.row]
     }
 
     /// All, in the order of the table.
     pub(crate) fn all() -> impl Iterator<Item = Self> {
-        ROWS.iter().map(Self)
+        (0..ROWS.len()).map(|row| Self { row })
     }
 
     /// Those that a check of images examines, in its order.
     pub(crate) fn examined() -> Vec<Self> {
-        let mut examined: Vec<Self> = Self::all().filter(|optic| optic.0.check.is_some()).collect();
-        examined.sort_by_key(|optic| optic.0.check);
+        let mut examined: Vec<Self> = Self::all().filter(|optic| optic.row().check.is_some()).collect();
+        examined.sort_by_key(|optic| optic.row().check);
         examined
     }
 
     /// Its word in a scene.
     pub fn word(self) -> &'static str {
-        self.0.word
+        self.row().word
     }
 
     /// Its name in tables and sentences.
     pub fn name(self) -> String {
-        self.0.word.replace('-', " ")
+        self.row().word.replace('-', " ")
     }
 
     /// What it describes.
     pub(crate) fn about(self) -> &'static str {
-        self.0.about
+        self.row().about
     }
 
     /// What else has the same effect, of one whose wrong value is a likely cause where the scene does not explain an image.
     pub(crate) fn as_cause(self) -> Option<&'static str> {
-        self.0.cause
+        self.row().cause
     }
 
     /// The numbers of the scene that it stands for; none for the reflectivities, which are 1 in every scene.
     pub(crate) fn parameters(self) -> &'static [Parameter] {
-        self.0.parameters
+        self.row().parameters
     }
 
     /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene, and for the
@@ -178,20 +185,6 @@ const fn is_equal(one: &str, other: &str) -> bool {
         at += 1;
     }
     at == one.len() && at == other.len()
-}
-
-impl PartialEq for Optic {
-    fn eq(&self, other: &Self) -> bool {
-        self.word() == other.word()
-    }
-}
-
-impl Eq for Optic {}
-
-impl std::hash::Hash for Optic {
-    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
-        self.word().hash(state);
-    }
 }
 
 impl fmt::Debug for Optic {
