@@ -1,4 +1,5 @@
-//! Builds the stand-in for libOpenCL that opens the real one at run time (`src/device/loader.c` says why).
+//! Builds the stand-in for libOpenCL that opens the real one at run time (`src/device/loader.c`
+//! says why).
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
@@ -6,10 +7,11 @@ fn main() {
     opencl_loader();
 }
 
-/// Compiles the loader into `OUT_DIR/libOpenCL.a`. cargo searches `OUT_DIR` before the system's folders, so that the
-/// `-lOpenCL` of `cl-sys` finds this archive whether or not the machine has the library too; linking it as `static`
-/// from here as well puts it into our own staticlib. macOS links its OpenCL framework and Windows needs a vendor's
-/// import library: both stay as `cl-sys` has them.
+/// Compiles the loader into `OUT_DIR/libOpenCL.a`. cargo searches `OUT_DIR` before the system's
+/// folders, so that the `-lOpenCL` of `cl-sys` finds this archive whether or not the machine has
+/// the library too; linking it as `static` from here as well puts it into our own staticlib. macOS
+/// links its OpenCL framework and Windows needs a vendor's import library: both stay as `cl-sys`
+/// has them.
 #[cfg(feature = "opencl")]
 fn opencl_loader() {
     println!("cargo:rerun-if-changed=src/device/loader.c");

@@ -1,10 +1,11 @@
 //! What does a frame of the AO loop cost? `cargo bench --bench ao_loop`
 //!
-//! The `keck-onsky` scene: 240 samples, seven layers, 248 subapertures, 296 actuators, noise on. `step` is one frame on one
-//! core, for each detector; `run` a whole run on all cores, settling and one image included (divide by its 4,000 frames).
-//! `stage` is each stage of a frame of `keck-onsky`, `tmt-onsky` and `elt-onsky` on one core, with its least work
-//! (`cargo bench --bench ao_loop -- "stage/tmt-onsky"` builds that one only).
-//! `machine` is what the stages are held against: multiply-adds in single precision from registers, and reading a
+//! The `keck-onsky` scene: 240 samples, seven layers, 248 subapertures, 296 actuators, noise on.
+//! `step` is one frame on one core, for each detector; `run` a whole run on all cores, settling and
+//! one image included (divide by its 4,000 frames). `stage` is each stage of a frame of
+//! `keck-onsky`, `tmt-onsky` and `elt-onsky` on one core, with its least work
+//! (`cargo bench --bench ao_loop -- "stage/tmt-onsky"` builds that one only). `machine` is what the
+//! stages are held against: multiply-adds in single precision from registers, and reading a
 //! megabyte, on one core.
 
 use cophase::Control;
@@ -51,8 +52,9 @@ fn runs(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Time of each stage in a frame of a whole telescope, on one core, and the rate of its least operations. The systems are built when the
-/// first of their stages is timed, so that a filter does not wait for the others.
+/// Time of each stage in a frame of a whole telescope, on one core, and the rate of its least
+/// operations. The systems are built when the first of their stages is timed, so that a filter does
+/// not wait for the others.
 fn stages(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("stage");
     group.sample_size(10);

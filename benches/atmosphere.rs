@@ -1,7 +1,8 @@
 //! What does a frame of turbulence cost, on one core? `cargo bench --bench atmosphere`
 //!
-//! The seven layers of the `keck-onsky` scene over its pupil, on the AO simulator's grid of 240 samples: with the wind,
-//! which makes new turbulence at every frame, and without, where only the layers are interpolated and added.
+//! The seven layers of the `keck-onsky` scene over its pupil, on the AO simulator's grid of 240
+//! samples: with the wind, which makes new turbulence at every frame, and without, where only the
+//! layers are interpolated and added.
 
 use cophase::ao::{Atmosphere, Footprint};
 use cophase::scene::Scene;

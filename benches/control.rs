@@ -1,7 +1,9 @@
-//! How long is a frame of the controller at Keck's size (296 actuators, 248 subapertures)? `cargo bench --bench control`
+//! How long is a frame of the controller at Keck's size (296 actuators, 248 subapertures)?
+//! `cargo bench --bench control`
 //!
-//! The matrices are random: only their sizes matter. A real loop does other work between two steps, which may push the
-//! matrix out of the nearest cache: the second row of each law reads as much memory in between as a pupil's screens.
+//! The matrices are random: only their sizes matter. A real loop does other work between two steps,
+//! which may push the matrix out of the nearest cache: the second row of each law reads as much
+//! memory in between as a pupil's screens.
 
 use cophase::ao::{ControlLaw, Plant};
 use cophase::scene::Scene;

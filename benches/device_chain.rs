@@ -1,7 +1,9 @@
-//! Where the time of the OpenCL chain goes: microseconds per image of one batched evaluation, and of each kernel.
+//! Where the time of the OpenCL chain goes: microseconds per image of one batched evaluation, and
+//! of each kernel.
 //!
-//! `cargo bench --bench device_chain -- [samples pixels batch]`, all devices, both precisions. Not a criterion bench: the
-//! question is the profile of one call, and each sample moves the coefficients.
+//! `cargo bench --bench device_chain -- [samples pixels batch]`, all devices, both precisions. Not
+//! a criterion bench: the question is the profile of one call, and each sample moves the
+//! coefficients.
 
 #[cfg(not(feature = "opencl"))]
 fn main() {
@@ -117,7 +119,8 @@ fn measure(
     first.ok_or_else(|| cophase::Error::Internal("nothing was measured".into()))
 }
 
-/// Seconds that all threads of this process have run: what other programs on the machine do not change.
+/// Seconds that all threads of this process have run: what other programs on the machine do not
+/// change.
 #[cfg(feature = "opencl")]
 fn processor_seconds() -> f64 {
     let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
@@ -137,7 +140,8 @@ mod scene {
     pub enum Edges {
         /// The fraction of a sample that is glass.
         Grey,
-        /// A windowed sinc, 10 samples either way: about 6 segments reach each sample, as in a band-limited pupil.
+        /// A windowed sinc, 10 samples either way: about 6 segments reach each sample, as in a
+        /// band-limited pupil.
         BandLimited,
     }
 

@@ -1,9 +1,11 @@
 //! What does one objective with its gradient cost, per image? `cargo bench --bench evaluation`
 //!
-//! The paper's case (36 segment pistons and 66 Karhunen-Loève modes, 120×120 pupil samples with grey edges, 240×240
-//! pixels) and our default model of the same scene (band-limited pupil, tip, tilt and focus more, cropped image), on
-//! every chain that is here, one image at a time and 200 together; the default model with three wavelengths and with pixels that
-//! have an area, too. Throughput counts images. Coefficients differ from image to image, so that nothing can be reused.
+//! The paper's case (36 segment pistons and 66 Karhunen-Loève modes, 120×120 pupil samples with
+//! grey edges, 240×240 pixels) and our default model of the same scene (band-limited pupil, tip,
+//! tilt and focus more, cropped image), on every chain that is here, one image at a time and 200
+//! together; the default model with three wavelengths and with pixels that have an area, too.
+//! Throughput counts images. Coefficients differ from image to image, so that nothing can be
+//! reused.
 
 use cophase::device::{self, Choice, Precision};
 use cophase::imaging::{Chain, Exposure};

@@ -1,15 +1,16 @@
-//! How do time and memory grow with modes, pupil samples and batch? `cargo bench --bench growth` (`-- --quick` for a
-//! minute's worth)
+//! How do time and memory grow with modes, pupil samples and batch? `cargo bench --bench growth`
+//! (`-- --quick` for a minute's worth)
 //!
-//! Each point runs in a process of its own, so that its peak of resident memory is its own. The exponent between the
-//! last two points of a table stands below each column, beside the one that its operations have:
+//! Each point runs in a process of its own, so that its peak of resident memory is its own. The
+//! exponent between the last two points of a table stands below each column, beside the one that
+//! its operations have:
 //!
-//! - an **evaluation** is two transforms, 4mn(n + m) multiply-adds each, and products with the smooth modes. Segment modes
-//!   cost what the illuminated samples cost, however many they are.
-//! - **error bars** are Jᵀ W J, M²·m² multiply-adds, after derivatives (of a segment box·m·(m + box), of a smooth mode a
-//!   transform), and before an inverse and an eigen-decomposition, M³.
-//! - a **fit** is some 15 evaluations, each with two products with an M×M matrix, and one metric, which costs what error
-//!   bars cost.
+//! - an **evaluation** is two transforms, 4mn(n + m) multiply-adds each, and products with the
+//!   smooth modes. Segment modes cost what the illuminated samples cost, however many they are.
+//! - **error bars** are Jᵀ W J, M²·m² multiply-adds, after derivatives (of a segment box·m·(m +
+//!   box), of a smooth mode a transform), and before an inverse and an eigen-decomposition, M³.
+//! - a **fit** is some 15 evaluations, each with two products with an M×M matrix, and one metric,
+//!   which costs what error bars cost.
 
 use cophase::Control;
 use cophase::imaging::{Chain, Precision};

@@ -1,8 +1,8 @@
 //! Does a session stay as it is over a night? `cargo bench --bench soak -- [ESTIMATES]` (100,000)
 //!
-//! One session fits sixteen frames, which their noise tells apart, in turn. Memory that it holds (resident, Linux; elsewhere
-//! nothing is said of it) may not grow after the first tenth, in which allocators and thread stacks settle, and the same frame
-//! must give the same bits each time.
+//! One session fits sixteen frames, which their noise tells apart, in turn. Memory that it holds
+//! (resident, Linux; elsewhere nothing is said of it) may not grow after the first tenth, in which
+//! allocators and thread stacks settle, and the same frame must give the same bits each time.
 
 use cophase::modal::{FitOptions, ModalFitter, Session, SessionOptions};
 use cophase::scene::Scene;
@@ -15,8 +15,9 @@ use std::time::Instant;
 /// Frames that differ: enough that a result kept from the last call would be another's.
 const FRAMES: usize = 16;
 
-/// Most that resident memory may grow after the first tenth, bytes: what an allocator returns to the system and takes back
-/// is a few pages. A leak of 12 bytes an estimate would show over 100,000.
+/// Most that resident memory may grow after the first tenth, bytes: what an allocator returns to
+/// the system and takes back is a few pages. A leak of 12 bytes an estimate would show over
+/// 100,000.
 const GROWTH_BYTES: usize = 1 << 20;
 
 const SCENE: &str = "

@@ -1,7 +1,8 @@
-//! Which route from pupil to focus and back is cheaper, the folded matrix product or the pruned FFT?
-//! `cargo bench --bench transform`
+//! Which route from pupil to focus and back is cheaper, the folded matrix product or the pruned
+//! FFT? `cargo bench --bench transform`
 //!
-//! `Transform::choose` decides by a count of operations and one ratio of speeds; this is where the ratio comes from.
+//! `Transform::choose` decides by a count of operations and one ratio of speeds; this is where the
+//! ratio comes from.
 
 use cophase::imaging::{Real, Sampling, Transform};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};

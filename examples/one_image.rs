@@ -1,4 +1,5 @@
-//! The library in a page: images of an artificial source, the wavefront behind them, the residual against the truth.
+//! The library in a page: images of an artificial source, the wavefront behind them, the residual
+//! against the truth.
 //!
 //! `cargo run --release --example one_image`
 

@@ -1,6 +1,8 @@
-//! What the cards of an image file state against what a scene says: which keys are compared, and with which cards.
+//! What the cards of an image file state against what a scene says: which keys are compared, and
+//! with which cards.
 //!
-//! An estimate and a reduction read this one list, so that no reduction makes images of frames that an estimate then refuses.
+//! An estimate and a reduction read this one list, so that no reduction makes images of frames that
+//! an estimate then refuses.
 
 pub(crate) mod padded_counts;
 
@@ -26,12 +28,14 @@ pub(crate) struct Compared {
 pub(crate) struct Disagreement {
     /// The card, with what it states.
     pub(crate) card: String,
-    /// The value nearest to the scene's among those that the card may mean, in the unit of the quantity.
+    /// The value nearest to the scene's among those that the card may mean, in the unit of the
+    /// quantity.
     pub(crate) stated: f64,
 }
 
 impl Compared {
-    /// What `scene` says of `quantity`; `None` where an estimate does not read it, or the scene leaves it to the file.
+    /// What `scene` says of `quantity`; `None` where an estimate does not read it, or the scene
+    /// leaves it to the file.
     pub(crate) fn new(scene: &Scene, quantity: Quantity) -> Option<Self> {
         let image = &scene.image;
         // A modal estimate fits the background, and does not read the exposure.
@@ -60,7 +64,8 @@ impl Compared {
         }
     }
 
-    /// The first of the cards of this quantity where none agrees: of several, such as a central and an effective wavelength, one is enough.
+    /// The first of the cards of this quantity where none agrees: of several, such as a central and
+    /// an effective wavelength, one is enough.
     pub(crate) fn disagreement(&self, facts: &[HeaderFact]) -> Option<Disagreement> {
         let of_it = || facts.iter().filter(|fact| fact.quantity == self.quantity);
         let first = of_it().next().filter(|_| !of_it().any(|fact| fact.agrees(self.value)))?;
@@ -77,8 +82,8 @@ impl Compared {
         Some(Disagreement { card: format!("card {} = {}{shown}", first.keyword, first.written), stated })
     }
 
-    /// Value of the key for a value of the quantity. The pixel on the sky is λ/`grid_m` over the sampling, so the sampling is as much larger
-    /// as the pixel is smaller.
+    /// Value of the key for a value of the quantity. The pixel on the sky is λ/`grid_m` over the
+    /// sampling, so the sampling is as much larger as the pixel is smaller.
     pub(crate) fn of_key(&self, value: f64) -> f64 {
         match self.quantity {
             Quantity::PixelMas if value != self.value => self.key_value * (self.value / value),

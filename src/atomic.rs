@@ -1,4 +1,5 @@
-//! Atomic writes: a file is written under a temporary name in the target's directory, then renamed to the target.
+//! Atomic writes: a file is written under a temporary name in the target's directory, then renamed
+//! to the target.
 
 use crate::{Error, Result, fault};
 use std::io::Write;
@@ -13,10 +14,12 @@ static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Symbolic links of a path that are followed, as many as Linux follows.
 const MOST_LINKS: usize = 40;
 
-/// Writes `bytes` to `path`: the whole file appears by a rename, or what was there stays. A symbolic link is followed.
+/// Writes `bytes` to `path`: the whole file appears by a rename, or what was there stays. A
+/// symbolic link is followed.
 ///
 /// # Errors
-/// [`Error::File`] for a directory, a device, a pipe or a read-only file, or with the operating system's reason.
+/// [`Error::File`] for a directory, a device, a pipe or a read-only file, or with the operating
+/// system's reason.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     Target::new(path)?.write(bytes)
 }
@@ -25,8 +28,8 @@ fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the files that are not complete, and lets no further one appear: for a process that ends now, while other threads still work. A thread
-/// that is about to write waits from then on.
+/// Removes the files that are not complete, and lets no further one appear: for a process that ends
+/// now, while other threads still work. A thread that is about to write waits from then on.
 pub fn abandon() {
     static ONCE: AtomicBool = AtomicBool::new(false);
     if ONCE.swap(true, Ordering::SeqCst) {
@@ -65,7 +68,8 @@ impl Temporary {
     }
 }
 
-/// Where a write to `path` goes: symbolic links are followed, also those to a file that is not there yet. A rename to a link would replace the link.
+/// Where a write to `path` goes: symbolic links are followed, also those to a file that is not
+/// there yet. A rename to a link would replace the link.
 fn behind_links(path: &Path) -> Result<PathBuf> {
     let mut real = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -94,7 +98,8 @@ impl Target {
             Ok(metadata) if !metadata.is_file() => {
                 Err(Error::file(path, "is a device or a pipe; a regular file is needed"))
             }
-            // A rename needs no permission to write the file that it replaces; the user's protection counts all the same.
+            // A rename needs no permission to write the file that it replaces; the user's
+            // protection counts all the same.
             Ok(metadata) if metadata.permissions().readonly() => {
                 let mode = metadata.permissions().mode() & 0o7777;
                 let reason = format!(
@@ -156,8 +161,8 @@ impl Target {
         fault::kill_process(2);
         temporary.appear_as(&self.real).map_err(failed)?;
         fault::kill_process(3);
-        // Syncing the directory makes the rename durable; not every file system supports it, and the rename is done
-        // anyway.
+        // Syncing the directory makes the rename durable; not every file system supports it, and
+        // the rename is done anyway.
         let _ = std::fs::File::open(self.directory()).and_then(|directory| directory.sync_all());
         Ok(())
     }

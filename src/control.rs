@@ -1,4 +1,5 @@
-//! Control of a long call: its progress, its cancellation and its deadline, in one object that every level of it is given.
+//! Control of a long call: its progress, its cancellation and its deadline, in one object that
+//! every level of it is given.
 
 use crate::{Error, Result};
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
@@ -15,7 +16,8 @@ pub enum Stage {
     Idle,
     /// The planner tries models on simulated images (`estimate.budget_nm`).
     Planning,
-    /// Pupil, modes and metric are built; optical parameters are fitted where the scene asks for it.
+    /// Pupil, modes and metric are built; optical parameters are fitted where the scene asks for
+    /// it.
     Preparing,
     /// Images are fitted.
     Fitting,
@@ -71,8 +73,9 @@ pub struct Progress {
 
 type Observer = Box<dyn FnMut(Progress) + Send>;
 
-/// Progress of a call, the flag that stops it, and its deadline. Clones share progress and flag: keep one, give the other
-/// to the [`Estimator`](crate::pipeline::Estimator). Without an observer no method takes a lock or memory.
+/// Progress of a call, the flag that stops it, and its deadline. Clones share progress and flag:
+/// keep one, give the other to the [`Estimator`](crate::pipeline::Estimator). Without an observer
+/// no method takes a lock or memory.
 #[derive(Clone, Default)]
 pub struct Control {
     shared: Arc<Shared>,
@@ -96,7 +99,8 @@ impl Control {
         Self::with_flag(CancelFlag::default(), observer)
     }
 
-    /// As [`Control::with_observer`], with a flag of the caller's, which for example a signal handler raises.
+    /// As [`Control::with_observer`], with a flag of the caller's, which for example a signal
+    /// handler raises.
     pub fn with_flag(cancel: CancelFlag, observer: impl FnMut(Progress) + Send + 'static) -> Self {
         let observer: Observer = Box::new(observer);
         let shared = Shared { cancel, observer: Some(Mutex::new(observer)), ..Shared::default() };
@@ -126,7 +130,8 @@ impl Control {
         }
     }
 
-    /// For work within a stage whose steps are not the stage's: cancelled with this control, and without progress.
+    /// For work within a stage whose steps are not the stage's: cancelled with this control, and
+    /// without progress.
     pub(crate) fn silent(&self) -> Self {
         Self { is_silent: true, ..self.clone() }
     }
@@ -172,7 +177,8 @@ impl Control {
         });
     }
 
-    /// `steps` more of this stage are done. No more than all are counted: images of a device that is lost are fitted twice.
+    /// `steps` more of this stage are done. No more than all are counted: images of a device that
+    /// is lost are fitted twice.
     pub(crate) fn step(&self, steps: usize) {
         let steps = steps as u64;
         if steps > 0 {
@@ -187,7 +193,8 @@ impl Control {
     }
 
     /// # Errors
-    /// [`Error::Interrupted`] with `state`, a description of what was done by then, where the flag is raised.
+    /// [`Error::Interrupted`] with `state`, a description of what was done by then, where the flag
+    /// is raised.
     pub(crate) fn check(&self, state: &str) -> Result<()> {
         self.check_with(|| state.into())
     }
@@ -200,7 +207,8 @@ impl Control {
         if self.is_cancelled() { Err(Error::Interrupted(state())) } else { Ok(()) }
     }
 
-    /// Changes the progress under the lock of the observer, so that the numbers that it is shown grow.
+    /// Changes the progress under the lock of the observer, so that the numbers that it is shown
+    /// grow.
     fn change(&self, change: impl FnOnce(&Shared)) {
         if self.is_silent {
             return;

@@ -1,5 +1,5 @@
-//! Errors of the library. A message is one sentence that names what was wrong, the value, and what is accepted. The
-//! status number of each kind is defined here only; the C interface uses it.
+//! Errors of the library. A message is one sentence that names what was wrong, the value, and what
+//! is accepted. The status number of each kind is defined here only; the C interface uses it.
 
 use std::ffi::CStr;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A scene that cannot be parsed or has an impossible value: the key, the value, what is accepted.
+    /// A scene that cannot be parsed or has an impossible value: the key, the value, what is
+    /// accepted.
     #[error("{0}")]
     Scene(String),
     /// A file that cannot be read or written: its path and the reason.
@@ -37,7 +38,8 @@ pub enum Error {
     /// A defect of this library.
     #[error("internal error, please report it: {0}")]
     Internal(String),
-    /// An argument of a call across the C boundary that cannot be used: NULL, misaligned, not text, overlapping.
+    /// An argument of a call across the C boundary that cannot be used: NULL, misaligned, not text,
+    /// overlapping.
     #[error("{0}")]
     Argument(String),
     /// An object that is in use by another thread.

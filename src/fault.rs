@@ -1,5 +1,5 @@
-//! Fault injection for tests, in builds with debug assertions only (no release has them). The environment variable
-//! `COPHASE_FAULT` selects a fault:
+//! Fault injection for tests, in builds with debug assertions only (no release has them). The
+//! environment variable `COPHASE_FAULT` selects a fault:
 //!
 //! | value | what fails |
 //! |---|---|
@@ -14,7 +14,8 @@ use crate::{Error, Result};
 
 /// Whether this fault is selected.
 ///
-/// Does not allocate, because calls that must not allocate are tested in debug builds too. Always false in a release.
+/// Does not allocate, because calls that must not allocate are tested in debug builds too. Always
+/// false in a release.
 pub(crate) fn is_selected(fault: &str) -> bool {
     selected().is_some_and(|selected| selected == fault.as_bytes())
 }
@@ -57,8 +58,8 @@ pub(crate) fn kill_process(stage: u64) {
 /// Value of `COPHASE_FAULT`.
 #[cfg(debug_assertions)]
 fn selected() -> Option<&'static [u8]> {
-    // `std::env` allocates.
-    // SAFETY: a NUL-terminated name. The value is read before the environment can change: only tests set it.
+    // `std::env` allocates. SAFETY: a NUL-terminated name. The value is read before the environment
+    // can change: only tests set it.
     let value = unsafe { libc::getenv(c"COPHASE_FAULT".as_ptr()) };
     // SAFETY: not NULL, and NUL-terminated like every environment variable.
     (!value.is_null()).then(|| unsafe { std::ffi::CStr::from_ptr(value) }.to_bytes())

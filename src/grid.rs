@@ -2,8 +2,8 @@
 
 use crate::{Error, Result};
 
-/// Square grid of `samples × samples` points over `width_m`, centred on the optical axis. The axis lies between the two
-/// central samples of an even grid.
+/// Square grid of `samples × samples` points over `width_m`, centred on the optical axis. The axis
+/// lies between the two central samples of an even grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     samples: usize,

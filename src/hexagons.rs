@@ -31,8 +31,8 @@ pub struct Hexagon {
 }
 
 impl HexagonLayout {
-    /// The hexagons, ring by ring from the innermost, within a ring by the polar angle of the centre before the rotation, in
-    /// [0, 2π), counter-clockwise from +x.
+    /// The hexagons, ring by ring from the innermost, within a ring by the polar angle of the
+    /// centre before the rotation, in [0, 2π), counter-clockwise from +x.
     pub fn hexagons(&self) -> Vec<Hexagon> {
         let centre = self.has_centre.then_some(0);
         let rings = centre.into_iter().chain(self.removed_rings + 1..=self.rings);
@@ -42,9 +42,10 @@ impl HexagonLayout {
             .collect()
     }
 
-    /// The layout of hexagons whose centres (x, y), m, are given in any order, and the place among them of each of its hexagons; `None` for
-    /// places that are not those of complete rings, or of all within a radius, to a fiftieth of the distance of neighbours. The rotation is
-    /// between −30° and 30°.
+    /// The layout of hexagons whose centres (x, y), m, are given in any order, and the place among
+    /// them of each of its hexagons; `None` for places that are not those of complete rings, or of
+    /// all within a radius, to a fiftieth of the distance of neighbours. The rotation is between
+    /// −30° and 30°.
     pub fn of_centres(centres_m: &[(f64, f64)]) -> Option<(Self, Vec<usize>)> {
         let pairs = || {
             let of = |i: usize| (0..i).map(move |j| (centres_m[i].0 - centres_m[j].0, centres_m[i].1 - centres_m[j].1));
@@ -88,7 +89,8 @@ impl HexagonLayout {
         })
     }
 
-    /// The hexagon at axial coordinates (q, r): its centre is `pitch·(√3/2·q, q/2 + r)`. `None` outside the outer radius.
+    /// The hexagon at axial coordinates (q, r): its centre is `pitch·(√3/2·q, q/2 + r)`. `None`
+    /// outside the outer radius.
     fn hexagon(&self, ring: usize, (q, r): (i32, i32)) -> Option<Hexagon> {
         let (q, r) = (f64::from(q), f64::from(r));
         let [x, y] = [self.pitch_m * 3f64.sqrt() / 2.0 * q, self.pitch_m * (q / 2.0 + r)];
@@ -101,9 +103,11 @@ impl HexagonLayout {
         Some(Hexagon { ring, x_m: cos * x - sin * y, y_m: sin * x + cos * y })
     }
 
-    /// Side of the smallest square, centred on the axis, that contains hexagons of side `side_m`, m; 0 without a hexagon.
+    /// Side of the smallest square, centred on the axis, that contains hexagons of side `side_m`,
+    /// m; 0 without a hexagon.
     pub fn width_m(&self, side_m: f64) -> f64 {
-        // Vertices are at `side_m` from a centre, at the rotation + k·60°: the largest cosine of their angles to an axis.
+        // Vertices are at `side_m` from a centre, at the rotation + k·60°: the largest cosine of
+        // their angles to an axis.
         let reach = |axis_deg: f64| {
             let off_deg = (axis_deg - self.rotation_deg).rem_euclid(60.0);
             off_deg.min(60.0 - off_deg).to_radians().cos()
@@ -114,8 +118,8 @@ impl HexagonLayout {
         2.0 * halves.fold(0.0, f64::max)
     }
 
-    /// Side of the smallest square, centred on the axis, that contains discs of radius `radius_m` in place of the hexagons, m; 0 without
-    /// one.
+    /// Side of the smallest square, centred on the axis, that contains discs of radius `radius_m`
+    /// in place of the hexagons, m; 0 without one.
     pub fn width_of_discs_m(&self, radius_m: f64) -> f64 {
         let halves = self.hexagons().into_iter().map(|h| h.x_m.abs().max(h.y_m.abs()) + disc_vertices_m(radius_m));
         2.0 * halves.fold(0.0, f64::max)
@@ -125,8 +129,8 @@ impl HexagonLayout {
 /// Rotations below this are those of rounded places.
 const LEAST_ROTATION_DEG: f64 = 0.01;
 
-/// Sides of the polygon of equal area that stands for a disc. Its edge deviates from the circle by 2.5e-5 of the radius: less than 0.2 mm
-/// for any existing telescope.
+/// Sides of the polygon of equal area that stands for a disc. Its edge deviates from the circle by
+/// 2.5e-5 of the radius: less than 0.2 mm for any existing telescope.
 pub const DISC_SIDES: usize = 256;
 
 /// Distance of that polygon's vertices from the centre of a disc of radius `radius_m`, m.
@@ -140,7 +144,8 @@ fn ring(radius: usize) -> Vec<(i32, i32)> {
     let n = radius as i32;
     let on_ring = |&(q, r): &(i32, i32)| q.abs().max(r.abs()).max((q + r).abs()) == n;
     let mut cells: Vec<_> = (-n..=n).flat_map(|q| (-n..=n).map(move |r| (q, r))).filter(on_ring).collect();
-    // Twice the height is an integer, so that a centre on +x has the angle 0 exactly, and not 2π by rounding.
+    // Twice the height is an integer, so that a centre on +x has the angle 0 exactly, and not 2π by
+    // rounding.
     let angle = |&(q, r): &(i32, i32)| {
         let angle = f64::from(q + 2 * r).atan2(3f64.sqrt() * f64::from(q));
         if angle < 0.0 { angle + TAU } else { angle }
@@ -160,7 +165,8 @@ mod tests {
 
     #[test]
     fn telescopes_have_the_published_numbers_of_segments() {
-        // Keck and GTC, JWST, TMT, ELT; the radii, in pitches, lie between the last ring that is complete and the first corner that is not.
+        // Keck and GTC, JWST, TMT, ELT; the radii, in pitches, lie between the last ring that is
+        // complete and the first corner that is not.
         for (layout, count) in [
             (layout(3, 0, None), 36),
             (layout(2, 0, None), 18),

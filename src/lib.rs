@@ -1,19 +1,23 @@
-//! **cophase** estimates the phasing errors of a telescope's segments and the non-common path aberrations (NCPA) behind its
-//! adaptive optics from defocused images of a star: separately, in nanometres, with error bars.
+//! **cophase** estimates the phasing errors of a telescope's segments and the non-common path
+//! aberrations (NCPA) behind its adaptive optics from defocused images of a star: separately, in
+//! nanometres, with error bars.
 //!
 //! # Conventions, the same in every language
 //!
-//! * **Units** stand in the names. Wavefronts and mode coefficients are `_nm` of optical path difference (wavefront, not
-//!   mirror surface), lengths `_m`, time `_s`, angles on the sky `_mas`, signal `_e` (electrons). Phase exists only
-//!   inside the imaging chains.
+//! * **Units** stand in the names. Wavefronts and mode coefficients are `_nm` of optical path
+//!   difference (wavefront, not mirror surface), lengths `_m`, time `_s`, angles on the sky `_mas`,
+//!   signal `_e` (electrons). Phase exists only inside the imaging chains.
 //! * **Arrays** are `[row = y, col = x]` in C order. A pupil grid of N samples over `width_m` has
 //!   `x_j = (j − (N−1)/2)·width_m/N`: the axis lies between the two central samples.
-//! * **Sign**: field `E = A·exp(+i·2π·W/λ)`, `W` the wavefront plus the diversity; focal field = forward Fourier
-//!   transform (kernel `exp(−2πi·u·x)`). A wavefront that grows along +x moves the spot along +column.
-//! * **Image**: the optical axis is on pixel `[rows/2, columns/2]`; `samples_per_lambda_over_d` counts pixels per λ/`grid_m`.
-//!   The PSF over an unbounded detector sums to 1; an image is `flux·PSF + background`, in electrons.
-//! * **Modes**: a segment-piston coefficient is nm of piston of that segment; a Zernike or Karhunen-Loève coefficient is
-//!   nm RMS over the pupil. The segment part is reported with zero mean piston over the pupil.
+//! * **Sign**: field `E = A·exp(+i·2π·W/λ)`, `W` the wavefront plus the diversity; focal field =
+//!   forward Fourier transform (kernel `exp(−2πi·u·x)`). A wavefront that grows along +x moves the
+//!   spot along +column.
+//! * **Image**: the optical axis is on pixel `[rows/2, columns/2]`; `samples_per_lambda_over_d`
+//!   counts pixels per λ/`grid_m`. The PSF over an unbounded detector sums to 1; an image is
+//!   `flux·PSF + background`, in electrons.
+//! * **Modes**: a segment-piston coefficient is nm of piston of that segment; a Zernike or
+//!   Karhunen-Loève coefficient is nm RMS over the pupil. The segment part is reported with zero
+//!   mean piston over the pupil.
 //!
 //! # An estimate
 //!
@@ -44,8 +48,9 @@
 //! | simulated images, with their truth | [`simulate`], [`Simulator`], [`Stepper`] |
 //! | plan of a model or of an observation | [`planner`], [`pipeline::plan_observation`] |
 //!
-//! These are the interface that versions keep. The feature `internals` makes the parts public (`imaging`, `modal`, `telescope`, …), which
-//! the programs and experiments of this repository use; it has no promise. `ARCHITECTURE.md` says which module uses which.
+//! These are the interface that versions keep. The feature `internals` makes the parts public
+//! (`imaging`, `modal`, `telescope`, …), which the programs and experiments of this repository use;
+//! it has no promise. `ARCHITECTURE.md` says which module uses which.
 
 #![deny(missing_docs)]
 // Parts have items that only the programs and experiments use.

@@ -1,5 +1,5 @@
-//! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky decomposition; products of long rows on all
-//! cores.
+//! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky
+//! decomposition; products of long rows on all cores.
 
 use crate::{Error, Result};
 use cophase_numerics::cholesky::Cholesky;
@@ -9,7 +9,8 @@ use rayon::prelude::*;
 /// Columns of a matrix that a thread combines at once.
 const COLUMNS_AT_ONCE: usize = 4096;
 
-/// Σ coefficient · row of a matrix with long rows, on all cores: the sum for a column is in the order of the rows, on any number of threads.
+/// Σ coefficient · row of a matrix with long rows, on all cores: the sum for a column is in the
+/// order of the rows, on any number of threads.
 pub(crate) fn combination(coefficients: ArrayView1<f64>, rows: ArrayView2<f64>) -> Array1<f64> {
     let mut sum = Array1::zeros(rows.ncols());
     sum.axis_chunks_iter_mut(Axis(0), COLUMNS_AT_ONCE)
@@ -37,8 +38,9 @@ pub(crate) struct SpdInverse {
 }
 
 impl SpdInverse {
-    /// Of normal equations, some of whose unknowns (segments with next to no illuminated sample) may have no data: 1e-9 of the largest element
-    /// of the diagonal is added to it, which changes well-determined unknowns by 1e-9 of themselves.
+    /// Of normal equations, some of whose unknowns (segments with next to no illuminated sample)
+    /// may have no data: 1e-9 of the largest element of the diagonal is added to it, which changes
+    /// well-determined unknowns by 1e-9 of themselves.
     ///
     /// # Errors
     /// As [`SpdInverse::new`].
@@ -60,7 +62,8 @@ impl SpdInverse {
     }
 }
 
-/// Cholesky factor L of a symmetric positive definite matrix A = L·Lᵀ. A vector with covariance A is white after L⁻¹.
+/// Cholesky factor L of a symmetric positive definite matrix A = L·Lᵀ. A vector with covariance A
+/// is white after L⁻¹.
 pub(crate) struct CholeskyFactor {
     factor: Cholesky,
 }

@@ -1,7 +1,8 @@
 //! Memory that this process can still get, and the refusal of work that needs more; its threads.
 //!
-//! A process that takes more memory than there is does not fail: the allocator aborts it, or the kernel kills it, and no
-//! sentence says why. So the memory of a scene is computed before the work and compared with the smallest of
+//! A process that takes more memory than there is does not fail: the allocator aborts it, or the
+//! kernel kills it, and no sentence says why. So the memory of a scene is computed before the work
+//! and compared with the smallest of
 //!
 //! | bound | source |
 //! |---|---|
@@ -39,7 +40,8 @@ pub fn available() -> Option<Available> {
     bounds.into_iter().flatten().min_by_key(|available| available.bytes)
 }
 
-/// Refuses work that needs more than the available memory. `what` is the subject of the sentence, `advice` its end.
+/// Refuses work that needs more than the available memory. `what` is the subject of the sentence,
+/// `advice` its end.
 ///
 /// # Errors
 /// [`Error::Value`] with both figures, and what sets the bound.
@@ -98,8 +100,8 @@ fn control_group() -> Option<u64> {
     bounds.min()
 }
 
-/// The group at `path` below `root`, and those above it. Within a container the path may be one of the host: the root is
-/// the container's own group then.
+/// The group at `path` below `root`, and those above it. Within a container the path may be one of
+/// the host: the root is the container's own group then.
 fn groups_above(root: &Path, path: &str) -> Vec<PathBuf> {
     let own = root.join(path.trim_start_matches('/'));
     own.ancestors().take_while(|group| group.starts_with(root)).map(Path::to_path_buf).collect()

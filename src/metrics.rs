@@ -1,5 +1,5 @@
-//! Residual RMS over the pupil (weight A), with piston, tip and tilt removed by least squares: of an estimate against
-//! the truth, and its expectation from a covariance.
+//! Residual RMS over the pupil (weight A), with piston, tip and tilt removed by least squares: of
+//! an estimate against the truth, and its expectation from a covariance.
 
 use crate::modes::Basis;
 use crate::pupil::Pupil;
@@ -7,11 +7,12 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView2, ArrayView3, Axis, Zip, s};
 use std::ops::Range;
 
-/// RMS over the pupil of `estimate_nm − truth_nm` (`[y, x]`, nm), piston, tip and tilt removed, in nm.
+/// RMS over the pupil of `estimate_nm − truth_nm` (`[y, x]`, nm), piston, tip and tilt removed, in
+/// nm.
 ///
 /// # Errors
-/// [`Error::Shape`] for maps that do not have the pupil's shape, [`Error::Value`] for a value inside the pupil that is
-/// not finite.
+/// [`Error::Shape`] for maps that do not have the pupil's shape, [`Error::Value`] for a value
+/// inside the pupil that is not finite.
 pub fn residual_nm(pupil: &Pupil, estimate_nm: ArrayView2<f64>, truth_nm: ArrayView2<f64>) -> Result<f64> {
     if estimate_nm.dim() != truth_nm.dim() {
         let ((rows, columns), (wanted_rows, wanted_columns)) = (estimate_nm.dim(), truth_nm.dim());
@@ -23,8 +24,8 @@ pub fn residual_nm(pupil: &Pupil, estimate_nm: ArrayView2<f64>, truth_nm: ArrayV
     pupil.rms(pupil.remove_piston_tip_tilt((&estimate_nm - &truth_nm).view())?.view())
 }
 
-/// Gram matrix G of mode maps over the pupil, with piston, tip and tilt removed: with the covariance of the
-/// coefficients it gives the expectation of [`residual_nm`].
+/// Gram matrix G of mode maps over the pupil, with piston, tip and tilt removed: with the
+/// covariance of the coefficients it gives the expectation of [`residual_nm`].
 #[derive(Debug, Clone)]
 pub struct MapGram {
     /// `[mode, mode]`.
@@ -50,7 +51,8 @@ impl MapGram {
         Ok(Self { products: weighted.dot(&weighted.t()) })
     }
 
-    /// Gram matrix of the modes of `basis` on the grid of `pupil`, by inner products, because the maps of hundreds of segments take gigabytes.
+    /// Gram matrix of the modes of `basis` on the grid of `pupil`, by inner products, because the
+    /// maps of hundreds of segments take gigabytes.
     ///
     /// # Errors
     /// Those of [`Basis::gram`].
@@ -60,8 +62,8 @@ impl MapGram {
         Ok(Self::from_products(basis.gram(&weight)?, [piston?, tip?, tilt?]))
     }
 
-    /// Gram matrix from the mean products over the pupil of the maps with each other (piston, tip and tilt included),
-    /// `[mode, mode]`, and with the three [`MapGram::planes`], `[plane][mode]`.
+    /// Gram matrix from the mean products over the pupil of the maps with each other (piston, tip
+    /// and tilt included), `[mode, mode]`, and with the three [`MapGram::planes`], `[plane][mode]`.
     fn from_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
         // The planes are orthonormal: a map's products with them are its components along them.
         for along in along.map(Array1::from) {
@@ -94,8 +96,8 @@ impl MapGram {
         planes
     }
 
-    /// √(trace of G·C), nm: the root mean square residual of an estimate whose coefficients have the covariance C =
-    /// `covariance_nm2`, `[mode, mode]`, about the truth.
+    /// √(trace of G·C), nm: the root mean square residual of an estimate whose coefficients have
+    /// the covariance C = `covariance_nm2`, `[mode, mode]`, about the truth.
     ///
     /// # Errors
     /// [`Error::Shape`] for a covariance of another number of modes.
@@ -103,7 +105,8 @@ impl MapGram {
         self.expected_rms_of_nm(0..self.products.nrows(), covariance_nm2)
     }
 
-    /// As [`MapGram::expected_rms_nm`], of the modes in `range` alone, which have the covariance `covariance_nm2`.
+    /// As [`MapGram::expected_rms_nm`], of the modes in `range` alone, which have the covariance
+    /// `covariance_nm2`.
     ///
     /// # Errors
     /// As [`MapGram::expected_rms_nm`].
@@ -151,7 +154,8 @@ mod tests {
 
     #[test]
     fn the_covariance_of_one_draw_gives_its_residual() {
-        // C = c·cᵀ is the covariance of ±c: the residual of that draw is the expectation for any modes.
+        // C = c·cᵀ is the covariance of ±c: the residual of that draw is the expectation for any
+        // modes.
         let (pupil, maps) = (pupil(), maps());
         let c = array![0.7, -1.9, 0.4];
         let map = maps.outer_iter().zip(&c).fold(Array2::zeros((8, 8)), |sum, (map, c)| sum + &map * *c);
@@ -171,7 +175,8 @@ mod tests {
         let products = Array2::from_shape_fn((3, 3), |(i, j)| mean(map(i), map(j)));
         let along = MapGram::planes(&pupil).map(|plane| (0..3).map(|mode| mean(map(mode), plane.view())).collect());
         let (found, wanted) = (MapGram::from_products(products, along), MapGram::new(&pupil, maps.view()).unwrap());
-        // Mean squares of up to (20 nm)², from which the planes are subtracted: a few times 1e-16 of that.
+        // Mean squares of up to (20 nm)², from which the planes are subtracted: a few times 1e-16
+        // of that.
         assert!((found.products - wanted.products).iter().all(|difference| difference.abs() < 1e-11));
     }
 

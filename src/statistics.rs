@@ -14,7 +14,8 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
-/// Upper median: the middle value, or the larger of the two middle ones, so always one of the values; NaN of none.
+/// Upper median: the middle value, or the larger of the two middle ones, so always one of the
+/// values; NaN of none.
 pub fn upper_median(values: &[f64]) -> f64 {
     upper_median_in_place(&mut values.to_vec())
 }

@@ -1,5 +1,5 @@
-//! The headers in `include` are what cbindgen makes of src/capi, and compile as C89, C99 and C++17; the reference of a
-//! scene's keys beside them is what `cophase scene --reference` prints.
+//! The headers in `include` are what cbindgen makes of src/capi, and compile as C89, C99 and C++17;
+//! the reference of a scene's keys beside them is what `cophase scene --reference` prints.
 
 #[path = "common/libraries.rs"]
 mod libraries;
@@ -76,7 +76,8 @@ fn the_reference_of_a_scene_is_up_to_date() {
     assert!(there == made, "include/scene-reference.txt is old: run COPHASE_BLESS=1 cargo test --test header");
 }
 
-/// Every function of src/capi is in a header, and no function or type twice: an object is declared before it is used.
+/// Every function of src/capi is in a header, and no function or type twice: an object is declared
+/// before it is used.
 #[test]
 fn the_headers_have_every_function_once() {
     let headers = ["cophase.h", "cophase_simulator.h"].map(header).concat();
@@ -106,7 +107,8 @@ fn the_headers_compile_as_c_and_as_cpp() {
             "use.c" => "{.struct_size = sizeof options}",
             _ => "{}",
         };
-        // A compiler's warning on fields without a value is about this program in C89, not about the header.
+        // A compiler's warning on fields without a value is about this program in C89, not about
+        // the header.
         let quiet = if name == "old.c" { "-Wno-missing-field-initializers" } else { "-Wall" };
         let program = format!(
             "#include <cophase_simulator.h>\n#include <cophase.h>\nint main(void)\n{{\n    cophase_fit_options options = \

@@ -141,8 +141,8 @@ fn error_bars_from_tiles_are_those_of_the_whole() {
     let [whole, tiled] = [whole, tiled].map(|estimator| estimator.bound(at.view(), 1e6, 1.0).unwrap());
     let off = |(i, j)| (tiled[(i, j)] - whole[(i, j)]).abs() / (whole[(i, i)] * whole[(j, j)]).sqrt();
     let worst = whole.indexed_iter().map(|(at, _)| off(at)).fold(0.0, f64::max);
-    // The matrices differ by 1e-12 of their diagonal at most, and inversion multiplies that by their condition: no
-    // direction but piston is seen less than 1e-5 as well as another here.
+    // The matrices differ by 1e-12 of their diagonal at most, and inversion multiplies that by
+    // their condition: no direction but piston is seen less than 1e-5 as well as another here.
     assert!(worst < 1e-7, "{worst:e}");
 }
 
@@ -172,8 +172,8 @@ fn memory_stays_below_its_formula() {
         println!("{peak} bytes, by the formula at most {most}");
         // `estimate_of` marks the bad pixels of the cube, which is not the estimator's.
         assert!(peak <= most + images_e.len(), "{peak} bytes where the formula has {most}");
-        // An upper bound, but one that says something: not more than six times what a run takes, beside the 64 MiB that
-        // it takes for granted.
+        // An upper bound, but one that says something: not more than six times what a run takes,
+        // beside the 64 MiB that it takes for granted.
         assert!(most - (64 << 20) < 6 * peak, "the formula has {most} bytes where {peak} were taken");
     }
 }

@@ -1,4 +1,5 @@
-//! On the CPU and the caller's own thread, a session neither allocates nor frees memory: counted at the allocator.
+//! On the CPU and the caller's own thread, a session neither allocates nor frees memory: counted at
+//! the allocator.
 
 use cophase::capi::*;
 use cophase::imaging::Precision;
@@ -16,13 +17,13 @@ use std::ptr::{null, null_mut};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The system's allocator, with a count of what this thread asks of it. A count of all threads would see the test
-/// harness at work.
+/// The system's allocator, with a count of what this thread asks of it. A count of all threads
+/// would see the test harness at work.
 struct Counting;
 
 thread_local! {
-    /// Allocations, reallocations and deallocations. Has neither an initialiser to run nor a destructor, so that it can
-    /// be used within the allocator.
+    /// Allocations, reallocations and deallocations. Has neither an initialiser to run nor a
+    /// destructor, so that it can be used within the allocator.
     static CALLS: Cell<usize> = const { Cell::new(0) };
 }
 
@@ -110,7 +111,8 @@ fn silent(scene: &Scene, precision: Precision) {
         let fitted = |status: &Status| matches!(status, Status::Ok | Status::Misfit);
         assert!(statuses[..4].iter().all(fitted), "{statuses:?}");
         assert_eq!(statuses[4], Status::Unusable(Refusal::Constant { value: 7.0 }));
-        // A fit of these takes a dozen evaluations in the first weights, and some in each renewal of them.
+        // A fit of these takes a dozen evaluations in the first weights, and some in each renewal
+        // of them.
         let evaluations = session.channels()[0].results()[0].report.evaluations;
         assert!(evaluations > 5, "{evaluations}");
 

@@ -17,11 +17,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// χ² of the 256 noisy pixels at the right minimum: 256 ± 23, and weights from the data add some; a wrong minimum has
-/// thousands.
+/// χ² of the 256 noisy pixels at the right minimum: 256 ± 23, and weights from the data add some; a
+/// wrong minimum has thousands.
 const GOOD_CHI2: f64 = 400.0;
 
-/// The reference with both tolerances equal to `tolerance`, from the identity as the inverse Hessian.
+/// The reference with both tolerances equal to `tolerance`, from the identity as the inverse
+/// Hessian.
 fn argmin_bfgs(problem: &mut Objective, start: &[f64], tolerance: f64, max_evaluations: usize) -> Result<Outcome> {
     let reference = ArgminBfgs {
         gradient_tolerance: tolerance,
@@ -55,7 +56,7 @@ fn retrieve(toy: &Retrieval, metric: Arc<Metric>, settings: Settings) -> Outcome
     minimize(&mut |c: &[f64]| Ok(toy.evaluate(c)), metric, &vec![0.0; toy.len()], settings).unwrap()
 }
 
-// --- Convergence -----------------------------------------------------------------------------------------------
+// --- Convergence
 
 #[test]
 fn rosenbrock_is_minimised_from_the_usual_start() {
@@ -67,8 +68,8 @@ fn rosenbrock_is_minimised_from_the_usual_start() {
         let error = out.x.iter().fold(0.0_f64, |m, x| m.max((x - 1.0).abs()));
         println!("Rosenbrock {n}: {} evaluations, error {error:e}: {}", out.evaluations, out.reason);
         assert!(out.reason.has_converged(), "{}", out.reason);
-        // A decrement of 1e-20 with the smallest curvature near 0.4 leaves sqrt(2·1e-20/0.4) = 2e-10; the model's
-        // curvature may be a hundred times off in the valley.
+        // A decrement of 1e-20 with the smallest curvature near 0.4 leaves sqrt(2·1e-20/0.4) =
+        // 2e-10; the model's curvature may be a hundred times off in the valley.
         assert!(error < 2e-8, "{error:e}");
         assert!(out.evaluations < 100, "{}", out.evaluations);
     }
@@ -95,8 +96,9 @@ fn an_exact_metric_solves_any_quadratic_in_three_evaluations() {
 
 #[test]
 fn many_small_components_of_a_step_add_up() {
-    // In a hundred directions the model assumes four times the curvature of the parabola: each step goes a quarter of the way
-    // in all of them, and its RMS over the hundred is ten times its largest component.
+    // In a hundred directions the model assumes four times the curvature of the parabola: each step
+    // goes a quarter of the way in all of them, and its RMS over the hundred is ten times its
+    // largest component.
     let mut parabola =
         |x: &[f64]| Ok((0.25 * x.iter().map(|x| x * x).sum::<f64>(), x.iter().map(|x| 0.5 * x).collect()));
     let largest = Settings {
@@ -112,7 +114,8 @@ fn many_small_components_of_a_step_add_up() {
         assert_eq!(out.reason, StopReason::StepBelowTolerance);
         out.x[0]
     };
-    // A step of a component is a quarter of it: the first below 1, and the first below 0.1, from within a factor of 3/4.
+    // A step of a component is a quarter of it: the first below 1, and the first below 0.1, from
+    // within a factor of 3/4.
     let (alone, together) = (end(largest), end(weighted.clone()));
     assert!(alone < 4.0 && alone > 3.0 * 0.75, "{alone}");
     assert!(together < 0.4 && together > 0.3 * 0.75, "{together}");
@@ -163,7 +166,8 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
         }
     };
     let first = run(&toy, &mut machine);
-    // The solution is lower than the last evaluated point, by the predicted decrease within a factor of 2.
+    // The solution is lower than the last evaluated point, by the predicted decrease within a
+    // factor of 2.
     let mut end = vec![0.0; toy.len()];
     machine.write_solution(&mut end);
     let gained = machine.outcome().f - toy.evaluate(&end).0;
@@ -236,7 +240,8 @@ fn an_optimiser_restarted_with_begin_is_bitwise_a_new_one() {
 
 #[test]
 fn a_scale_replaces_a_scaled_metric() {
-    // Sixteen times as curved: every length in whitened coordinates is a quarter, exactly so in binary.
+    // Sixteen times as curved: every length in whitened coordinates is a quarter, exactly so in
+    // binary.
     let q = Quadratic::new(12, 1e3, 4);
     let metric = whitened(&q.gauss_newton());
     let settings = Settings { step_tolerance: 1e-3, relative_decrement_tolerance: 0.0, ..Settings::default() };
@@ -267,9 +272,10 @@ fn deadline_ends_a_run_at_the_best_point_without_a_restart() {
     assert_eq!(machine.restart_objective(), Advance::Continue);
 }
 
-// --- The metric ------------------------------------------------------------------------------------------------
+// --- The metric
 
-/// An objective that does not depend on the sum of x and on x₀ − x₁: a quadratic, the projection, and the null directions.
+/// An objective that does not depend on the sum of x and on x₀ − x₁: a quadratic, the projection,
+/// and the null directions.
 fn blind(n: usize) -> (Quadratic, Array2<f64>, [Vec<f64>; 2]) {
     let q = Quadratic::new(n, 10.0, 5);
     let unit = |v: Vec<f64>| {
@@ -304,7 +310,8 @@ fn null_directions_are_never_moved() {
     assert!(travelled > 10.0, "the other directions must move: {travelled}");
     for v in &null {
         let moved: f64 = v.iter().zip(out.x.iter().zip(&start)).map(|(v, (x, s))| v * (x - s)).sum();
-        // Rounding of V over a travel of a few hundred: the eigenvectors are orthogonal to some 10 epsilon, 1e-15·1e3.
+        // Rounding of V over a travel of a few hundred: the eigenvectors are orthogonal to some 10
+        // epsilon, 1e-15·1e3.
         assert!(moved.abs() < 1e-11, "{moved:e}");
     }
 }
@@ -326,7 +333,7 @@ fn settings_and_starts_out_of_range_are_refused_with_a_sentence() {
     assert!(argmin_bfgs(&mut short, &[0.0; 2], -1.0, 10).unwrap_err().to_string().contains("gradient_tolerance is -1"));
 }
 
-// --- Stopping --------------------------------------------------------------------------------------------------
+// --- Stopping
 
 #[test]
 fn in_f32_it_stops_where_the_objective_no_longer_resolves() {
@@ -355,8 +362,8 @@ fn in_f32_it_stops_where_the_objective_no_longer_resolves() {
         );
         assert_eq!(out.reason, StopReason::ResolutionReached);
         assert!(out.evaluations <= most && out.evaluations <= blind.evaluations, "{}", out.evaluations);
-        // Below the resolution of 1e-6 of 1e4 with a metric; without one the model consists of twenty pairs, and its
-        // prediction may be wrong by a factor of a hundred.
+        // Below the resolution of 1e-6 of 1e4 with a metric; without one the model consists of
+        // twenty pairs, and its prediction may be wrong by a factor of a hundred.
         assert!(left - 1e4 < bound, "{:e}", left - 1e4);
     }
 }
@@ -368,7 +375,8 @@ fn the_search_backs_out_of_regions_that_are_not_finite() {
     let metric = whitened(&ndarray::array![[0.01]]);
     let settings = Settings { decrement_tolerance: 1e-16, ..Settings::default() };
     let out = minimize(&mut problem, metric.clone(), &[3.0], settings).unwrap();
-    // f = 1 near the minimum, where the relative decrement tolerance of 1e-10 leaves sqrt(2e-10) = 1.4e-5.
+    // f = 1 near the minimum, where the relative decrement tolerance of 1e-10 leaves sqrt(2e-10) =
+    // 1.4e-5.
     assert!(out.reason.has_converged() && (out.x[0] - 1.0).abs() < 2e-5, "{} at {}", out.reason, out.x[0]);
     let out = minimize(&mut problem, metric.clone(), &[-1.0], Settings::default()).unwrap();
     assert_eq!((out.reason, out.evaluations), (StopReason::NotFinite, 1));
@@ -450,7 +458,7 @@ fn the_cancel_flag_ends_either_optimiser_within_one_evaluation() {
     assert!(out.f <= rosenbrock(&[-1.2, 1.0]).unwrap().0);
 }
 
-// --- The reference ---------------------------------------------------------------------------------------------
+// --- The reference
 
 #[test]
 fn the_reference_minimises_quadratics_and_rosenbrock() {
@@ -464,7 +472,8 @@ fn the_reference_minimises_quadratics_and_rosenbrock() {
     println!("quadratic: {} evaluations, error {:e}: {}", out.evaluations, q.largest_error(&out.x), out.reason);
     assert!(out.reason.has_converged(), "{}", out.reason);
     assert_eq!(out.evaluations, count.get(), "one evaluation serves value and gradient");
-    // A change below 1e-6 leaves about as much in J, with curvatures of 0.5 and more: sqrt(1e-6/0.25), five times.
+    // A change below 1e-6 leaves about as much in J, with curvatures of 0.5 and more:
+    // sqrt(1e-6/0.25), five times.
     assert!(q.largest_error(&out.x) < 1e-2);
     let out = argmin_bfgs(&mut |x| rosenbrock(x), &[-1.2, 1.0], 1e-6, 200).unwrap();
     println!("Rosenbrock: {} evaluations at {:?}: {}", out.evaluations, out.x, out.reason);
@@ -493,7 +502,7 @@ fn the_reference_ends_with_a_reason_and_the_best_point() {
     assert!(matches!(argmin_bfgs(&mut broken, &[1.0], 1e-6, 4), Err(Error::Device(_))));
 }
 
-// --- Allocation ------------------------------------------------------------------------------------------------
+// --- Allocation
 
 thread_local! {
     static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
@@ -502,8 +511,8 @@ thread_local! {
 /// Counts what each thread allocates.
 struct Counting;
 
-// SAFETY: every call goes to the system's allocator as it came; the counter is a constant-initialised thread local
-// without a destructor, which neither allocates nor unwinds.
+// SAFETY: every call goes to the system's allocator as it came; the counter is a
+// constant-initialised thread local without a destructor, which neither allocates nor unwinds.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.with(|n| n.set(n.get() + 1));

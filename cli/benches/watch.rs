@@ -1,5 +1,5 @@
-//! Latency and rate, on the size of Keck (240 x 240 pixels) and on the small scene. They print; nothing is asserted on time, which is the
-//! machine's: `cargo bench -p cophase-cli --bench watch`.
+//! Latency and rate, on the size of Keck (240 x 240 pixels) and on the small scene. They print;
+//! nothing is asserted on time, which is the machine's: `cargo bench -p cophase-cli --bench watch`.
 
 #![allow(dead_code, unused_imports, reason = "the helpers of the tests, without the tests")]
 

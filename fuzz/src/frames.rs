@@ -1,5 +1,6 @@
-//! Arrays across the C boundary. A caller owes memory at every element that it describes, so an input that would lie about
-//! that is not tried; everything else is: shapes, strides, addresses, elements, and the bytes of the pixels.
+//! Arrays across the C boundary. A caller owes memory at every element that it describes, so an
+//! input that would lie about that is not tried; everything else is: shapes, strides, addresses,
+//! elements, and the bytes of the pixels.
 
 use cophase::capi::*;
 use std::ffi::CString;
@@ -65,7 +66,8 @@ impl Session {
         Self { model, session, side: info.rows, modes: info.modes }
     }
 
-    /// Describes an array as `input` says, calibrates with it and fits it; gives whether it was fitted.
+    /// Describes an array as `input` says, calibrates with it and fits it; gives whether it was
+    /// fitted.
     pub fn probe(&self, input: &[u8]) -> bool {
         let (description, pixels) = input.split_at(input.len().min(DESCRIPTION));
         let mut take = Bytes(description);
@@ -84,7 +86,8 @@ impl Session {
             start_nm: if begins { start_nm.as_ptr() } else { ptr::null() },
             has_read_noise: i64::from(begins),
         };
-        // SAFETY: `honest` has seen that every element of `array` lies in `memory`, or that it must be refused unread.
+        // SAFETY: `honest` has seen that every element of `array` lies in `memory`, or that it must
+        // be refused unread.
         unsafe {
             if calibrates {
                 self.calibrate(array, &mut take);
@@ -179,8 +182,8 @@ impl Session {
         }
     }
 
-    /// Whether a caller may hand in `array`: it has all the memory that the array describes, or describes one whose shape
-    /// or reach is refused before anything is read.
+    /// Whether a caller may hand in `array`: it has all the memory that the array describes, or
+    /// describes one whose shape or reach is refused before anything is read.
     fn honest(&self, array: &cophase_input, memory: &[u64]) -> bool {
         let bytes = match array.element {
             COPHASE_U8 => 1,
@@ -257,7 +260,8 @@ fn memory(pixels: &[u8]) -> Vec<u64> {
     (0..MEMORY_BYTES / 8).map(|_| u64::from_le_bytes([(); 8].map(|()| bytes.next().unwrap_or(0)))).collect()
 }
 
-/// That a status is none that says that the library broke its promise, and comes with a sentence where it refuses.
+/// That a status is none that says that the library broke its promise, and comes with a sentence
+/// where it refuses.
 fn refusal(status: i32) {
     assert!(![COPHASE_PANIC, COPHASE_INTERNAL].contains(&status), "status {status}: {}", sentence());
     assert!(status == COPHASE_OK || sentence().lines().count() == 1, "status {status}: {:?}", sentence());

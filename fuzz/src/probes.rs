@@ -1,12 +1,13 @@
-//! What is true of every input, whatever its bytes: a value or one sentence, and no panic. A fuzzer brings the input, or a
-//! seeded generator.
+//! What is true of every input, whatever its bytes: a value or one sentence, and no panic. A fuzzer
+//! brings the input, or a seeded generator.
 
 use cophase::device::{Choice, Precision};
 use cophase::io::{FitsReader, read_images};
 use cophase::scene::{Scene, split_setting};
 use std::path::{Path, PathBuf};
 
-/// Longest sentence: the longest of a scene lists its keys. Beyond, input is being repeated without bound.
+/// Longest sentence: the longest of a scene lists its keys. Beyond, input is being repeated without
+/// bound.
 const LONGEST_SENTENCE: usize = 4000;
 
 /// That a refusal is one sentence.
@@ -93,7 +94,8 @@ pub fn scene(text: &str) -> bool {
     read(scene)
 }
 
-/// Takes each line of `text` for what a command line may give; gives whether any setting was accepted.
+/// Takes each line of `text` for what a command line may give; gives whether any setting was
+/// accepted.
 pub fn settings(text: &str) -> bool {
     let keck = Scene::preset("keck-artificial").expect("a preset");
     let mut accepted = false;

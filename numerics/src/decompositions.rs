@@ -28,12 +28,13 @@ pub fn svd(matrix: ArrayView2<f64>) -> Result<Svd, Failure> {
     Ok(Svd { left: from_faer(svd.U()), values, right: from_faer(svd.V()) })
 }
 
-/// Power of two by which a matrix is multiplied before its eigenvalues are computed, so that its largest entry is between 1 and 2; 1 for
-/// a matrix of zeros. It changes no digit of the entries.
+/// Power of two by which a matrix is multiplied before its eigenvalues are computed, so that its
+/// largest entry is between 1 and 2; 1 for a matrix of zeros. It changes no digit of the entries.
 ///
-/// The divide-and-conquer solver neglects couplings and differences of eigenvalues below 8 ε × max(largest eigenvalue, 1) (faer 0.24,
-/// `tridiag_evd`; LAPACK's `dlaed2` has the same rule for a matrix that was scaled before). Without the scale a matrix of norm 10⁻⁶ has
-/// eigenvalues with errors of 10⁻⁹ of the largest: too large for the threshold of null directions, some 10⁻¹⁰.
+/// The divide-and-conquer solver neglects couplings and differences of eigenvalues below 8 ε ×
+/// max(largest eigenvalue, 1) (faer 0.24, `tridiag_evd`; LAPACK's `dlaed2` has the same rule for a
+/// matrix that was scaled before). Without the scale a matrix of norm 10⁻⁶ has eigenvalues with
+/// errors of 10⁻⁹ of the largest: too large for the threshold of null directions, some 10⁻¹⁰.
 pub fn unit_scale(matrix: ArrayView2<f64>) -> f64 {
     let largest = matrix.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     if largest.is_normal() { 2f64.powi(-(largest.log2().floor().clamp(-1000.0, 1000.0) as i32)) } else { 1.0 }
@@ -47,8 +48,8 @@ pub struct SymmetricEigen {
     pub vectors: Array2<f64>,
 }
 
-/// Computes the eigenvalues and eigenvectors of a finite symmetric matrix, read from its lower triangle, from the matrix times `scale`: see
-/// [`unit_scale`].
+/// Computes the eigenvalues and eigenvectors of a finite symmetric matrix, read from its lower
+/// triangle, from the matrix times `scale`: see [`unit_scale`].
 ///
 /// # Errors
 /// Where the iteration does not converge.

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-/// Cause of the failure of a decomposition, in the solver's words; the caller knows which matrix it was.
+/// Cause of the failure of a decomposition, in the solver's words; the caller knows which matrix it
+/// was.
 #[derive(Debug, Clone)]
 pub struct Failure {
     cause: String,

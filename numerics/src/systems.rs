@@ -4,13 +4,14 @@ use crate::conversion::{from_faer, to_faer};
 use faer::linalg::solvers::{Solve, SolveLstsqCore};
 use ndarray::{Array2, ArrayView2};
 
-/// Solves `matrix · X = right` for X, by an LU decomposition with partial pivoting, of a square matrix of full rank.
+/// Solves `matrix · X = right` for X, by an LU decomposition with partial pivoting, of a square
+/// matrix of full rank.
 pub fn solve(matrix: ArrayView2<f64>, right: ArrayView2<f64>) -> Array2<f64> {
     from_faer(to_faer(matrix).partial_piv_lu().solve(&to_faer(right)).as_ref())
 }
 
-/// Solves min‖`matrix · X − right`‖ for X, by a QR decomposition with column pivoting; `None` for a rank-deficient
-/// matrix.
+/// Solves min‖`matrix · X − right`‖ for X, by a QR decomposition with column pivoting; `None` for a
+/// rank-deficient matrix.
 pub fn least_squares(matrix: ArrayView2<f64>, right: ArrayView2<f64>) -> Option<Array2<f64>> {
     let (rows, columns) = matrix.dim();
     if rows < columns {

@@ -1,7 +1,8 @@
-//! Is a budget kept, and what does it save? `cargo bench -p cophase-paper --bench plans [-- SCENES [BUDGET_NM]]`
+//! Is a budget kept, and what does it save?
+//! `cargo bench -p cophase-paper --bench plans [-- SCENES [BUDGET_NM]]`
 //!
-//! Random scenes of Keck (errors, star, defocus) are planned, and a wavefront that the planner has not seen is read by
-//! the plan and by the scene's own model in double precision.
+//! Random scenes of Keck (errors, star, defocus) are planned, and a wavefront that the planner has
+//! not seen is read by the plan and by the scene's own model in double precision.
 
 use cophase::Control;
 use cophase::Result;
@@ -84,7 +85,8 @@ fn own_model(scene: &Scene) -> Result<Scene> {
     scene.with(&[("modes.exact_zernikes", "[2, 21]"), ("estimate.precision", "f64")])
 }
 
-/// Seconds an image in a batch, and the residuals of phasing and NCPA, nm, where `model` reads the image of `scene`.
+/// Seconds an image in a batch, and the residuals of phasing and NCPA, nm, where `model` reads the
+/// image of `scene`.
 fn read(model: &Scene, scene: &Scene) -> Result<(f64, [f64; 2])> {
     let made = source::simulate(scene)?;
     let estimator = ModalFitter::new(model, false)?;

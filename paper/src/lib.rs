@@ -1,4 +1,5 @@
-//! The experiments that compare the estimator with the paper, with hard cases and with time: `cophase-paper` runs them.
+//! The experiments that compare the estimator with the paper, with hard cases and with time:
+//! `cophase-paper` runs them.
 
 pub mod bench;
 pub mod experiment;

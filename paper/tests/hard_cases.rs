@@ -1,4 +1,5 @@
-//! Hard cases, a few draws each: an answer that is wrong says so, and none of those that were right is lost.
+//! Hard cases, a few draws each: an answer that is wrong says so, and none of those that were right
+//! is lost.
 //!
 //! `cophase-paper hard-cases` tries all of them on more draws; docs/hard-cases.md has its table.
 
@@ -92,8 +93,8 @@ fn are_right_or_flagged(names: &[&str]) -> HardCases {
             if !RIGHT.contains(&case.name) {
                 continue;
             }
-            // Chains that differ in precision end within a step tolerance (0.001 nm) of each other, but for what f32 cannot
-            // resolve: of a faint star a good part of its error bar.
+            // Chains that differ in precision end within a step tolerance (0.001 nm) of each other,
+            // but for what f32 cannot resolve: of a faint star a good part of its error bar.
             assert!(verdict.f32_nm < 0.02f64.max(0.02 * verdict.sigma_nm[1]), "{}: {verdict:?}", case.name);
             // In double precision both stop at the same step; NaN where there is no OpenCL.
             assert!(verdict.opencl_nm.is_nan() || verdict.opencl_nm < 1e-3, "{}: {verdict:?}", case.name);
@@ -125,7 +126,8 @@ fn wrong_estimates_are_flagged() {
         [&RIGHT[..], &RIGHT_SEQUENCES, &FLAGGED, &OTHERS].concat()
     };
     let found = are_right_or_flagged(&names);
-    // What one image cannot know is neither called right nor hidden: 5 % of 1.5 waves are 163 nm of focus.
+    // What one image cannot know is neither called right nor hidden: 5 % of 1.5 waves are 163 nm of
+    // focus.
     let [verdict] = of(&found, "defocus 5 % large") else { panic!("one draw was asked for") };
     assert!(verdict.is_right_given_diversity() && (verdict.error_nm[1] - 163.0).abs() < 2.0, "{verdict:?}");
     // A note says that they were masked.

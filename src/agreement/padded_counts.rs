@@ -1,10 +1,12 @@
-//! Counts of fewer bits than their numbers: a camera of 12 or 14 bits whose driver fills the low bits with zeros, so that all counts are
-//! multiples of 16 or 4. A gain may be that of the counts before, as many drivers state it, or that of the numbers in the file.
+//! Counts of fewer bits than their numbers: a camera of 12 or 14 bits whose driver fills the low
+//! bits with zeros, so that all counts are multiples of 16 or 4. A gain may be that of the counts
+//! before, as many drivers state it, or that of the numbers in the file.
 
 use crate::statistics::{NORMAL_MEDIAN_DEVIATION, median};
 use ndarray::{ArrayView2, ArrayView3};
 
-/// Bits that are looked for: one alone may be a sum of two equal reads, and 256 is a picture of 8 bits.
+/// Bits that are looked for: one alone may be a sum of two equal reads, and 256 is a picture of 8
+/// bits.
 const BITS: std::ops::RangeInclusive<u32> = 2..=8;
 
 /// Counts that are all multiples of one power of two.
@@ -20,7 +22,8 @@ pub(crate) struct PaddedCounts {
     pub(crate) contradicts: bool,
 }
 
-/// The factor of which all finite pixels of `counts` `[image, y, x]` are multiples, if there is one, with what their noise says of `gain`.
+/// The factor of which all finite pixels of `counts` `[image, y, x]` are multiples, if there is
+/// one, with what their noise says of `gain`.
 pub(crate) fn found(counts: ArrayView3<f64>, gain: f64, read_noise_e: Option<f64>) -> Option<PaddedCounts> {
     let mut lowest = u32::MAX;
     for value in counts.iter().copied().filter(|value| value.is_finite() && *value != 0.0) {
@@ -43,7 +46,8 @@ pub(crate) fn found(counts: ArrayView3<f64>, gain: f64, read_noise_e: Option<f64
     })
 }
 
-/// Noise of the pixels in the first and last rows, counts RMS: from differences of neighbours, which a slope does not change.
+/// Noise of the pixels in the first and last rows, counts RMS: from differences of neighbours,
+/// which a slope does not change.
 fn edge_noise(image: ArrayView2<f64>) -> f64 {
     let rows = image.nrows();
     let edges = image.outer_iter().enumerate().filter(|(row, _)| *row < 2 || row + 2 >= rows).map(|(_, row)| row);

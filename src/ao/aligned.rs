@@ -7,8 +7,8 @@ const LINE: usize = 64;
 /// Most values between the start of an allocation and the next cache line.
 const SKIP: usize = LINE / size_of::<f32>() - 1;
 
-/// f32 values of which the first lies at the start of a cache line, so that no aligned vector crosses two lines (such a
-/// load takes twice as long).
+/// f32 values of which the first lies at the start of a cache line, so that no aligned vector
+/// crosses two lines (such a load takes twice as long).
 #[derive(Debug)]
 pub struct AlignedBuffer {
     values: Vec<f32>,

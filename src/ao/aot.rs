@@ -1,8 +1,9 @@
 //! A run as a file of AOT, the telemetry standard of adaptive optics: see [`crate::io::aot`].
 //!
-//! What the standard leaves open is chosen so that an estimate from this file has the bits of one from [`super::write`]: images,
-//! slopes and truth are stored with the same type and unit, and the scene is in the card `CONFIG`. Commands are in m, as the standard
-//! has them: those of [`super::write`], in nm as 32-bit reals, return from them after rounding to 32 bits.
+//! What the standard leaves open is chosen so that an estimate from this file has the bits of one
+//! from [`super::write`]: images, slopes and truth are stored with the same type and unit, and the
+//! scene is in the card `CONFIG`. Commands are in m, as the standard has them: those of
+//! [`super::write`], in nm as 32-bit reals, return from them after rounding to 32 bits.
 
 use super::recorder::{Shot, Summary};
 use super::sensor::SlopeFormat;
@@ -34,7 +35,8 @@ struct ChannelShots<'a> {
 }
 
 impl ChannelShots<'_> {
-    /// Name of the extension with the images; the channel's is not one, because names of extensions ignore case.
+    /// Name of the extension with the images; the channel's is not one, because names of extensions
+    /// ignore case.
     fn hdu(&self, scene: &System) -> String {
         if scene.channels().is_empty() { "IMAGES".into() } else { format!("IMAGES_{}", self.number + 1) }
     }
@@ -45,21 +47,27 @@ impl ChannelShots<'_> {
     }
 }
 
-/// Writes the images and the telemetry of a run of `simulator` as a file of AOT 2.0.0. The write is atomic.
+/// Writes the images and the telemetry of a run of `simulator` as a file of AOT 2.0.0. The write is
+/// atomic.
 ///
-/// - `AOT_SCORING_CAMERAS`, `AOT_DETECTORS`: a camera for each channel of which there are images. `IMAGES`: electrons, with the cards
-///   of [`super::write`].
-/// - `AOT_WAVEFRONT_SENSORS`: mean slopes of each exposure, `[exposure, x and y, subaperture]`, mas, or as `slope_unit_mas` of the scene
-///   has them; `SUBAPERTURE_MASK`, row 0 at the smallest y.
-/// - `AOT_LOOPS`: commands at the middle of each exposure, `[exposure, actuator]`, m of wavefront; control matrix, nm/mas, interaction
-///   matrix, mas/nm; the filter of an integrator in rising powers of 1/z, its gain first; frame rate and delay.
+/// - `AOT_SCORING_CAMERAS`, `AOT_DETECTORS`: a camera for each channel of which there are images.
+///   `IMAGES`: electrons, with the cards of [`super::write`].
+/// - `AOT_WAVEFRONT_SENSORS`: mean slopes of each exposure, `[exposure, x and y, subaperture]`,
+///   mas, or as `slope_unit_mas` of the scene has them; `SUBAPERTURE_MASK`, row 0 at the smallest
+///   y.
+/// - `AOT_LOOPS`: commands at the middle of each exposure, `[exposure, actuator]`, m of wavefront;
+///   control matrix, nm/mas, interaction matrix, mas/nm; the filter of an integrator in rising
+///   powers of 1/z, its gain first; frame rate and delay.
 /// - `AOT_TIME`: middle of each exposure, s since the loop was closed.
-/// - `AOT_ABERRATIONS`: segment errors (of the telescope) and NCPA (of the cameras), each one mode, nm, with the coefficient 1.
-/// - `AOT_ATMOSPHERIC_PARAMETERS`, `AOT_TELESCOPES`, `AOT_SOURCES`, `AOT_WAVEFRONT_CORRECTORS`: those of the scene.
+/// - `AOT_ABERRATIONS`: segment errors (of the telescope) and NCPA (of the cameras), each one mode,
+///   nm, with the coefficient 1.
+/// - `AOT_ATMOSPHERIC_PARAMETERS`, `AOT_TELESCOPES`, `AOT_SOURCES`, `AOT_WAVEFRONT_CORRECTORS`:
+///   those of the scene.
 ///
 /// # Errors
-/// [`Error::Image`] for a run without any image; [`Error::Value`] for a scene with `wavefront_sensor.slope_order`, because the standard
-/// fixes the order of slopes; [`Error::File`] where the file cannot be written.
+/// [`Error::Image`] for a run without any image; [`Error::Value`] for a scene with
+/// `wavefront_sensor.slope_order`, because the standard fixes the order of slopes; [`Error::File`]
+/// where the file cannot be written.
 pub fn write_aot(
     path: &Path,
     scene_text: &str,
@@ -181,7 +189,8 @@ fn layers(file: &mut FitsWriter, scene: &System) -> Result<()> {
     if turbulence.fractions.is_empty() {
         return Ok(());
     }
-    // The standard's azimuth is 0 at North and grows eastward: the pupil's +y stands for North, +x for East.
+    // The standard's azimuth is 0 at North and grows eastward: the pupil's +y stands for North, +x
+    // for East.
     let azimuth_deg = |radians: &f64| (90.0 - radians.to_degrees()).rem_euclid(360.0);
     let columns = [
         (turbulence.fractions.clone(), ""),
@@ -205,7 +214,8 @@ fn aberrations(tables: &mut AotTables) -> Result<()> {
     Ok(())
 }
 
-/// Writes the truth. The map is the mode, and not its quotient by the RMS, because its bits then stay.
+/// Writes the truth. The map is the mode, and not its quotient by the RMS, because its bits then
+/// stay.
 fn truth(file: &mut FitsWriter, simulator: &Simulator) -> Result<()> {
     let truth = simulator.truth();
     let grid_m = file::grid_m(simulator.scene())?;
@@ -328,7 +338,8 @@ fn mirror(tables: &mut AotTables, simulator: &Simulator) -> Result<()> {
     tables.row("AOT_WAVEFRONT_CORRECTORS_DM", cells)
 }
 
-/// Whether the law filters each mode as a leaky integrator, which a quotient of polynomials describes.
+/// Whether the law filters each mode as a leaky integrator, which a quotient of polynomials
+/// describes.
 fn is_integrator(control: &ControlScene) -> bool {
     control.r#loop == Loop::Closed
 }

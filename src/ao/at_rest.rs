@@ -1,8 +1,9 @@
 //! The loop at rest behind a constant wavefront: the commands that a control step does not change.
 //!
-//! In plain steps a mode of response λ approaches them as (1 − gλ)ⁿ, which takes hundreds of frames where the reconstructor is regularised. The
-//! commands at rest are the fixed point of the control step and do not depend on the lag. Anderson acceleration (Walker and Ni 2011, SIAM J.
-//! Numer. Anal. 49, 1715) finds it in some tens of frames.
+//! In plain steps a mode of response λ approaches them as (1 − gλ)ⁿ, which takes hundreds of frames
+//! where the reconstructor is regularised. The commands at rest are the fixed point of the control
+//! step and do not depend on the lag. Anderson acceleration (Walker and Ni 2011, SIAM J. Numer.
+//! Anal. 49, 1715) finds it in some tens of frames.
 
 use super::Simulator;
 use super::aligned::AlignedBuffer;
@@ -13,16 +14,19 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 use std::collections::VecDeque;
 
-/// Frames after which a mirror that still moves is taken as at rest: directions of weak singular values drift for long, and little.
+/// Frames after which a mirror that still moves is taken as at rest: directions of weak singular
+/// values drift for long, and little.
 const MAX_FRAMES: usize = 300;
 
 /// Earlier frames that an extrapolation uses.
 const DEPTH: usize = 12;
 
-/// Regularisation of an extrapolation, relative to the largest square of a difference: single precision leaves of the smallest.
+/// Regularisation of an extrapolation, relative to the largest square of a difference: single
+/// precision leaves of the smallest.
 const ROUNDING: f64 = 1e-10;
 
-/// Mirror, sensor and controller of a loop without turbulence. Clones are independent of each other.
+/// Mirror, sensor and controller of a loop without turbulence. Clones are independent of each
+/// other.
 #[derive(Clone)]
 pub struct LoopAtRest {
     correction: CorrectionLoop,
@@ -51,11 +55,13 @@ impl LoopAtRest {
         self.correction.controller.hold(commands_nm);
     }
 
-    /// Commands of the mirror at rest behind the wavefront `opd_nm`, a map over the footprint, from those that it holds. No command changes by
-    /// `still_nm` or more in a frame; at a gain of 0.3 the remaining change is three times that.
+    /// Commands of the mirror at rest behind the wavefront `opd_nm`, a map over the footprint, from
+    /// those that it holds. No command changes by `still_nm` or more in a frame; at a gain of 0.3
+    /// the remaining change is three times that.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map of another size; [`Error::Internal`] for commands that are not finite.
+    /// [`Error::Shape`] for a map of another size; [`Error::Internal`] for commands that are not
+    /// finite.
     pub fn commands_nm(&mut self, opd_nm: &[f32], still_nm: f64) -> Result<Array1<f64>> {
         let mut commands_nm = as_f64(self.correction.controller.commands_nm());
         let mut extrapolation = Extrapolation::default();
@@ -79,7 +85,8 @@ impl LoopAtRest {
         Ok(best.1)
     }
 
-    /// Commands that a frame behind `opd_nm` leads to, with `commands_nm` on the mirror in it and in those before.
+    /// Commands that a frame behind `opd_nm` leads to, with `commands_nm` on the mirror in it and
+    /// in those before.
     fn next_commands_nm(&mut self, opd_nm: &[f32], commands_nm: &Array1<f64>) -> Result<Array1<f64>> {
         if opd_nm.len() != self.residual_nm.len() {
             let (given, needed) = (opd_nm.len(), self.residual_nm.len());
@@ -173,8 +180,8 @@ mod tests {
             let off = square(&mut found_nm.iter().zip(&expected_nm).map(|(found, nm)| found - f64::from(*nm)));
             let ratio = (off / square(&mut found_nm.iter().copied())).sqrt();
             println!("{law:?}: {frames} frames, {ratio:.1e}");
-            // At rest a command moves by 1e-3 nm a frame, 0.01 nm of some 20 from its end with a gain of 0.1 or more.
-            // Plain steps of a gain of 0.2 take 60 frames and more to 1e-3 nm.
+            // At rest a command moves by 1e-3 nm a frame, 0.01 nm of some 20 from its end with a
+            // gain of 0.1 or more. Plain steps of a gain of 0.2 take 60 frames and more to 1e-3 nm.
             assert!(ratio < 1e-3 && frames < 50, "{law:?}: {ratio}, {frames}");
         }
     }

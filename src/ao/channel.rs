@@ -15,7 +15,8 @@ pub(super) struct ChannelOptics {
 }
 
 impl ChannelOptics {
-    /// Those of each channel of `scene` behind `telescope`, in order; of a scene without channels one.
+    /// Those of each channel of `scene` behind `telescope`, in order; of a scene without channels
+    /// one.
     ///
     /// # Errors
     /// Those of reading the diversity and the filter.

@@ -18,7 +18,8 @@ pub struct LoopFrame<'a> {
     pub number: u64,
     /// Time since the loop was closed, s.
     pub time_s: f64,
-    /// Residual wavefront, nm: turbulence plus segment errors minus the mirror's surface; a map over the footprint.
+    /// Residual wavefront, nm: turbulence plus segment errors minus the mirror's surface; a map
+    /// over the footprint.
     pub residual_nm: &'a [f32],
     /// RMS of the residual wavefront over the pupil, piston removed, nm.
     pub residual_rms_nm: f64,
@@ -28,7 +29,8 @@ pub struct LoopFrame<'a> {
     pub commands_nm: &'a [f32],
 }
 
-/// Segments, mirror, sensor and controller: the part of the loop between the turbulence and the camera.
+/// Segments, mirror, sensor and controller: the part of the loop between the turbulence and the
+/// camera.
 #[derive(Clone)]
 pub(super) struct CorrectionLoop {
     pub(super) footprint: Footprint,
@@ -52,8 +54,8 @@ pub(super) struct CorrectionLoop {
 }
 
 impl CorrectionLoop {
-    /// Advances the loop by one frame: turns the turbulence `opd_nm` into the residual wavefront, in place, and updates
-    /// the commands from its slopes.
+    /// Advances the loop by one frame: turns the turbulence `opd_nm` into the residual wavefront,
+    /// in place, and updates the commands from its slopes.
     pub(super) fn step(&mut self, opd_nm: &mut [f32]) -> Result<()> {
         let started = Instant::now();
         self.commands_nm.copy_from_slice(self.controller.commands_nm());
@@ -150,13 +152,14 @@ mod tests {
                 println!(
                     "{basis} {mode}: {dithered:.3} by dithering, {pushed:.3} by pushes, residual {residual_nm:.0} nm RMS"
                 );
-                // The turbulence in the bin of a sine is some 10 % of it, in a mean of about three windows; between the four modes the gains
-                // are interpolated.
+                // The turbulence in the bin of a sine is some 10 % of it, in a mean of about three
+                // windows; between the four modes the gains are interpolated.
                 assert!((dithered / pushed - 1.0).abs() < 0.15, "{basis} {mode}: {dithered} {pushed}");
                 assert!((0.2..0.97).contains(&pushed), "{basis} {mode}: {pushed}");
             }
-            // A loop that closes: the wavefront of the turbulence alone is some 1,500 nm, and 120 nm are left with noise. The bound excludes a
-            // zonal loop that filters 60 modes (221 nm): among the weakest singular values of a pyramid are low orders.
+            // A loop that closes: the wavefront of the turbulence alone is some 1,500 nm, and 120
+            // nm are left with noise. The bound excludes a zonal loop that filters 60 modes (221
+            // nm): among the weakest singular values of a pyramid are low orders.
             assert!(residual_nm < 200.0, "{basis}: {residual_nm}");
         }
     }

@@ -28,7 +28,8 @@ impl Detector {
             let mut camera =
                 camera.map_err(|error| channel.name.iter().fold(error, |error, name| error.of_channel(name)))?;
             let pixels = DetectorPixels::new(&scene);
-            // peak_snr refers to the PSF of the static aberrations alone, so that the flux does not depend on the loop.
+            // peak_snr refers to the PSF of the static aberrations alone, so that the flux does not
+            // depend on the loop.
             let psf = pixels.apply(camera.psf(simulator.segments_nm()).mapv(f64::from));
             let flux_e = flux_e(&scene.image, psf.fold(0.0, |a: f64, &b| a.max(b)));
             Ok(Self { camera, pixels, scene, flux_e })
@@ -36,8 +37,8 @@ impl Detector {
         each.collect()
     }
 
-    /// Draws the image of an exposure with noise of the random number stream `number`, `[y, x]`, electrons; `psf` is the mean PSF
-    /// over its frames.
+    /// Draws the image of an exposure with noise of the random number stream `number`, `[y, x]`,
+    /// electrons; `psf` is the mean PSF over its frames.
     pub(super) fn image_e(&self, psf: Array2<f32>, number: u64) -> Array2<f32> {
         let psf = self.pixels.apply(psf.mapv(f64::from));
         let mut rng = stream(self.scene.turbulence.seed, number);

@@ -2,18 +2,20 @@
 
 use super::control::Stability;
 
-/// Time constant of the residual's running mean, s: longer than fluctuations of the seeing, shorter than the seconds
-/// over which a weak instability grows.
+/// Time constant of the residual's running mean, s: longer than fluctuations of the seeing, shorter
+/// than the seconds over which a weak instability grows.
 const SMOOTH_S: f64 = 0.05;
 /// Time that the loop has to converge before its residual is compared with the open loop, s.
 const CLOSING_S: f64 = 0.2;
-/// Residual, in wavelengths of the sensor, below which a loop does not count as diverged. Above it the spots break up.
+/// Residual, in wavelengths of the sensor, below which a loop does not count as diverged. Above it
+/// the spots break up.
 const WAVES: f64 = 0.75;
-/// A stable loop counts as diverged when its residual exceeds the open-loop residual by this factor; fluctuations of
-/// the seeing stay below it.
+/// A stable loop counts as diverged when its residual exceeds the open-loop residual by this
+/// factor; fluctuations of the seeing stay below it.
 ///
-/// An unstable loop (from its poles) counts as diverged once it had the time to grow e-fold and the residual exceeds
-/// [`WAVES`]. A quad cell saturates, so its residual may stay below the open-loop one.
+/// An unstable loop (from its poles) counts as diverged once it had the time to grow e-fold and the
+/// residual exceeds [`WAVES`]. A quad cell saturates, so its residual may stay below the open-loop
+/// one.
 const TIMES_OPEN: f64 = 1.5;
 
 /// Time and residual at which a loop diverged.
@@ -43,8 +45,9 @@ pub(super) struct DivergenceMonitor {
 }
 
 impl DivergenceMonitor {
-    /// Monitor of a loop with frames of `frame_s`, a sensor at `wavelength_nm`, and the given `poles`. A stable loop
-    /// with a large residual (few unmasked slopes, strong wind) does not count as diverged.
+    /// Monitor of a loop with frames of `frame_s`, a sensor at `wavelength_nm`, and the given
+    /// `poles`. A stable loop with a large residual (few unmasked slopes, strong wind) does not
+    /// count as diverged.
     pub(super) fn new(frame_s: f64, wavelength_nm: f64, poles: &Stability) -> Self {
         let growth = if poles.stable { 0.0 } else { poles.growth_per_frame.ln() };
         let keep = (-frame_s / SMOOTH_S).exp();
@@ -105,8 +108,9 @@ mod tests {
             let detected = (0..20_000).find_map(|k| growing.update(150.0 * (f64::from(k) * 1e-3 / 2.0).exp()));
             detected.map(|divergence| divergence.time_s).unwrap()
         };
-        // The residual grows e-fold in 2 s. With unstable poles it is detected at 480 nm, after 2·ln 3.2 = 2.33 s; with
-        // stable poles at 2250 nm, after 2·ln 15 = 5.42 s. Smoothing adds 0.05 s.
+        // The residual grows e-fold in 2 s. With unstable poles it is detected at 480 nm, after
+        // 2·ln 3.2 = 2.33 s; with stable poles at 2250 nm, after 2·ln 15 = 5.42 s. Smoothing adds
+        // 0.05 s.
         let (known, unknown) = (grow(0.0005f64.exp()), grow(0.7));
         assert!((2.3..2.45).contains(&known), "{known}");
         assert!((5.4..5.5).contains(&unknown), "{unknown}");

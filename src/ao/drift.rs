@@ -122,13 +122,15 @@ mod tests {
             (map_nm.iter().zip(amplitude).map(square).sum::<f64>() / simulator.footprint().total()).sqrt()
         };
         let gained: Vec<f32> = ends.last_nm.iter().zip(&ends.first_nm).map(|(last, first)| last - first).collect();
-        // 0.6 s at 2,000 nm per minute. Partly covered samples at the edges take the whole piston of their owner: 1 %.
+        // 0.6 s at 2,000 nm per minute. Partly covered samples at the edges take the whole piston
+        // of their owner: 1 %.
         assert!((rms(&gained) / 20.0 - 1.0).abs() < 0.02, "{}", rms(&gained));
         let middle: Vec<f32> =
             (0..still_nm.len()).map(|i| (ends.last_nm[i] + ends.first_nm[i]) / 2.0 - still_nm[i]).collect();
         // Half of a frame's 0.03 nm, and single precision.
         assert!(rms(&middle) < 0.1, "{}", rms(&middle));
-        // The NCPA are not in the residual wavefront; since the middle they have drifted by half of the total.
+        // The NCPA are not in the residual wavefront; since the middle they have drifted by half of
+        // the total.
         let mut ncpa_nm = simulator.footprint().zeros();
         simulator.correction.drift.as_ref().unwrap().add_ncpa(simulator.frames(), &mut ncpa_nm);
         assert!((rms(&ncpa_nm) / 10.0 - 1.0).abs() < 0.02, "{}", rms(&ncpa_nm));

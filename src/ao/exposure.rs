@@ -10,11 +10,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender};
 use std::time::{Duration, Instant};
 
-/// First stream of the cameras' noise under the seed of the turbulence. Each image has a stream of its own, so that its
-/// noise does not depend on the images before it. A later run of the same loop adds its first frame to the stream's
-/// number, which exceeds the number of images of the runs before.
+/// First stream of the cameras' noise under the seed of the turbulence. Each image has a stream of
+/// its own, so that its noise does not depend on the images before it. A later run of the same loop
+/// adds its first frame to the stream's number, which exceeds the number of images of the runs
+/// before.
 const CAMERA_STREAM: u64 = 2 << 32;
-/// Streams from one channel to the next: more than a loop has frames, and than there are streams of other noise.
+/// Streams from one channel to the next: more than a loop has frames, and than there are streams of
+/// other noise.
 const CHANNEL_STREAMS: u64 = 1 << 40;
 
 /// Residual wavefront of one frame of an exposure.
@@ -60,8 +62,8 @@ pub(super) struct DetectorThread {
 }
 
 impl DetectorThread {
-    /// Accumulates `wavefronts` in order and sends the image of each exposed channel at the end of each exposure, until the channel
-    /// of the thread closes.
+    /// Accumulates `wavefronts` in order and sends the image of each exposed channel at the end of
+    /// each exposure, until the channel of the thread closes.
     pub(super) fn run(
         mut self,
         wavefronts: &Receiver<ExposedWavefront>,
@@ -72,7 +74,8 @@ impl DetectorThread {
         let (mut strehl, mut count, mut spent) = (0.0, 0.0, Duration::ZERO);
         while let Ok(mut wavefront) = wavefronts.recv() {
             let started = Instant::now();
-            // Without NCPA and diversity: this Strehl ratio measures the loop, which does not see them.
+            // Without NCPA and diversity: this Strehl ratio measures the loop, which does not see
+            // them.
             strehl += strehl_on_axis(&self.footprint, &wavefront.residual_nm, self.wavelength_nm);
             count += 1.0;
             if let Some(drift) = &self.drift {
@@ -86,7 +89,8 @@ impl DetectorThread {
         ExposureStatistics { strehl: strehl / count, spent }
     }
 
-    /// Adds the PSF of `wavefront` in a channel to `sum`; at the end of the exposure sends the image and clears the sum.
+    /// Adds the PSF of `wavefront` in a channel to `sum`; at the end of the exposure sends the
+    /// image and clears the sum.
     fn expose(
         &mut self,
         channel: usize,

@@ -13,17 +13,20 @@ use std::path::Path;
 ///
 /// - `IMAGES`: electrons.
 /// - `TRUTH_…`: as in [`crate::source::write`].
-/// - `SLOPES`: slopes at the middle of each exposure, `[image, slope]`, mas, all x then all y; in the order and unit of
-///   `wavefront_sensor.slope_order` and `slope_unit_mas` where the scene has these, as the rows of `INTERACTION`.
+/// - `SLOPES`: slopes at the middle of each exposure, `[image, slope]`, mas, all x then all y; in
+///   the order and unit of `wavefront_sensor.slope_order` and `slope_unit_mas` where the scene has
+///   these, as the rows of `INTERACTION`.
 /// - `COMMANDS`: commands at the middle of each exposure, `[image, actuator]`, nm.
 /// - `SLOPES_MEAN`: slopes averaged over each exposure.
-/// - `MOVED_REFERENCE`: by how much corrections have moved the reference slopes, to which those of the file are relative, a row; where they have.
+/// - `MOVED_REFERENCE`: by how much corrections have moved the reference slopes, to which those of
+///   the file are relative, a row; where they have.
 /// - `SHOTS`: table of time and residual for each image.
 /// - `SUBAPERTURES`, `ACTUATORS`: tables of those in use.
 /// - `INTERACTION`: interaction matrix, `[slope, actuator]`, mas per nm.
 ///
-/// A scene with channels has `IMAGES`, `SLOPES`, `SLOPES_MEAN`, `COMMANDS` and `SHOTS` for each channel of which there are images, with
-/// `EXTVER` 1, 2, …; the cards of the loop are those of the first `IMAGES`.
+/// A scene with channels has `IMAGES`, `SLOPES`, `SLOPES_MEAN`, `COMMANDS` and `SHOTS` for each
+/// channel of which there are images, with `EXTVER` 1, 2, …; the cards of the loop are those of the
+/// first `IMAGES`.
 ///
 /// # Errors
 /// [`Error::Image`] for a run without any image, [`Error::File`] where the file cannot be written.

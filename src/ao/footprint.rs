@@ -8,8 +8,9 @@ use std::sync::Arc;
 /// f32 values in the widest SIMD vector (512 bits). Rows and spans are multiples of it.
 pub const LANES: usize = 16;
 
-/// Illuminated part of a square grid. A map over it is a slice of [`Footprint::len`] values, rows `[y, x]` of
-/// [`Footprint::stride`] values each ([`Footprint::zeros`] makes one). Values outside the spans are unspecified.
+/// Illuminated part of a square grid. A map over it is a slice of [`Footprint::len`] values, rows
+/// `[y, x]` of [`Footprint::stride`] values each ([`Footprint::zeros`] makes one). Values outside
+/// the spans are unspecified.
 #[derive(Debug, Clone)]
 pub struct Footprint {
     samples: usize,
@@ -67,8 +68,8 @@ impl Footprint {
         self.samples * self.stride
     }
 
-    /// Columns of row `y` that hold its illuminated samples and the margin. Both ends are multiples of [`LANES`]; the
-    /// span of a dark row is empty.
+    /// Columns of row `y` that hold its illuminated samples and the margin. Both ends are multiples
+    /// of [`LANES`]; the span of a dark row is empty.
     pub fn span(&self, y: usize) -> Range<usize> {
         self.spans[y].clone()
     }

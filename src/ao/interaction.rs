@@ -1,8 +1,10 @@
 //! Interaction matrix of the modelled sensor and mirror, by pushing and pulling actuators.
 //!
-//! An influence function is exactly 0 beyond some distance (`surface`), and a lenslet measures its own samples only. Actuators that share
-//! no lenslet are therefore pushed together: for Gaussian functions some fifty pairs of measurements take the place of one pair for each
-//! actuator, and give the same bits. The slopes of a pyramid depend on the whole wavefront: its actuators are pushed one after the other.
+//! An influence function is exactly 0 beyond some distance (`surface`), and a lenslet measures its
+//! own samples only. Actuators that share no lenslet are therefore pushed together: for Gaussian
+//! functions some fifty pairs of measurements take the place of one pair for each actuator, and
+//! give the same bits. The slopes of a pyramid depend on the whole wavefront: its actuators are
+//! pushed one after the other.
 
 use super::footprint::Footprint;
 use super::sensor::Sensor;
@@ -12,18 +14,20 @@ use crate::{Result, machine};
 use ndarray::Array2;
 use std::ops::Range;
 
-/// Stroke with which the interaction matrix is measured, nm: a thirtieth of the sensor's wavelength, so that the
-/// response is linear to 1 %. Its second order cancels between push and pull.
+/// Stroke with which the interaction matrix is measured, nm: a thirtieth of the sensor's
+/// wavelength, so that the response is linear to 1 %. Its second order cancels between push and
+/// pull.
 const POKE_NM: f32 = 20.0;
 
-/// Arrays of slopes × actuators while the interaction matrix is inverted: the matrix, its copies for the mask and for the
-/// decomposition, the singular vectors twice, and the work of the decomposition. Measured with 50 lenslets across: 0.3 GB of 0.46.
+/// Arrays of slopes × actuators while the interaction matrix is inverted: the matrix, its copies
+/// for the mask and for the decomposition, the singular vectors twice, and the work of the
+/// decomposition. Measured with 50 lenslets across: 0.3 GB of 0.46.
 const DENSE_COPIES: u64 = 6;
 /// The same for a sparse reconstructor: the matrix alone.
 const SPARSE_COPIES: u64 = 1;
 
-/// Measures the interaction matrix, `[slopes, actuators]`, mas per nm: pushes and pulls actuators in front of a flat wavefront, without
-/// noise.
+/// Measures the interaction matrix, `[slopes, actuators]`, mas per nm: pushes and pulls actuators
+/// in front of a flat wavefront, without noise.
 ///
 /// # Errors
 /// [`crate::Error::Value`] for a matrix whose inversion is larger than the machine's memory.
@@ -84,8 +88,9 @@ pub(super) fn interaction(
     Ok(matrix)
 }
 
-/// Groups of actuators of which no two move a lenslet in common; `moved` are the rows and columns of lenslets of each, of `across` a side.
-/// Each actuator joins the first group that it can join: for functions of one size row by row, that is the fewest groups.
+/// Groups of actuators of which no two move a lenslet in common; `moved` are the rows and columns
+/// of lenslets of each, of `across` a side. Each actuator joins the first group that it can join:
+/// for functions of one size row by row, that is the fewest groups.
 fn groups(moved: &[[Range<usize>; 2]], across: usize) -> Vec<Vec<usize>> {
     let mut groups: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
     for (actuator, own) in moved.iter().enumerate() {

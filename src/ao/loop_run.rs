@@ -1,5 +1,5 @@
-//! Thread of the loop during a run: closes the loop frame by frame, sends the exposed wavefronts to the detector thread, and gives
-//! the finished images with their telemetry to the recorder.
+//! Thread of the loop during a run: closes the loop frame by frame, sends the exposed wavefronts to
+//! the detector thread, and gives the finished images with their telemetry to the recorder.
 
 use super::aligned::AlignedBuffer;
 use super::correction::CorrectionLoop;
@@ -106,8 +106,8 @@ impl<'a> LoopRun<'a> {
         }
     }
 
-    /// Sends the wavefront to the detector thread if it belongs to the exposure `number`; returns the number of the exposure
-    /// that is next.
+    /// Sends the wavefront to the detector thread if it belongs to the exposure `number`; returns
+    /// the number of the exposure that is next.
     fn expose(&mut self, residual_nm: &[f32], number: usize, exposed: &SyncSender<ExposedWavefront>) -> Result<usize> {
         let Some(exposure) = self.schedule.exposure(number) else { return Ok(number) };
         let Some(place) = exposure.place(self.frame) else { return Ok(number) };

@@ -1,4 +1,5 @@
-//! Measured matrices of a loop: interaction and command matrix from files, in the units, order and signs of the model.
+//! Measured matrices of a loop: interaction and command matrix from files, in the units, order and
+//! signs of the model.
 
 use super::sensor::{Lenslets, OTHER_SLOPE_ORDERS, SlopeFormat, slope_sources};
 use crate::io::FitsReader;
@@ -7,15 +8,17 @@ use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayView2};
 use std::path::Path;
 
-/// Least correlation of a measured interaction matrix with that of the model. Other detectors, and influence functions of twice the
-/// coupling, leave more; another order of slopes or actuators less, since it puts most of a column elsewhere.
+/// Least correlation of a measured interaction matrix with that of the model. Other detectors, and
+/// influence functions of twice the coupling, leave more; another order of slopes or actuators
+/// less, since it puts most of a column elsewhere.
 const LEAST_CORRELATION: f64 = 0.6;
 
-/// The interaction matrix of `scene`'s file, `[slope, actuator]`, mas per nm; `None` where the scene names none. It is compared with that
-/// of the model.
+/// The interaction matrix of `scene`'s file, `[slope, actuator]`, mas per nm; `None` where the
+/// scene names none. It is compared with that of the model.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read, or whose matrix does not fit, or is of other slopes or actuators than the model's.
+/// [`Error::File`] for a file that cannot be read, or whose matrix does not fit, or is of other
+/// slopes or actuators than the model's.
 pub(super) fn interaction(scene: &System, lenslets: &Lenslets, modelled: &Array2<f64>) -> Result<Option<Array2<f64>>> {
     let Some((sensing, control)) = scene.wavefront_sensor.as_ref().zip(scene.control.as_ref()) else { return Ok(None) };
     let Some(file) = &control.interaction_file else { return Ok(None) };
@@ -33,7 +36,8 @@ pub(super) fn interaction(scene: &System, lenslets: &Lenslets, modelled: &Array2
     }
 }
 
-/// The command matrix of `scene`'s file, `[actuator, slope]`, nm per mas; `None` where the scene names none.
+/// The command matrix of `scene`'s file, `[actuator, slope]`, nm per mas; `None` where the scene
+/// names none.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, or whose matrix does not fit.
@@ -59,8 +63,9 @@ pub(super) fn command_matrix(
     Ok(Some(format.expected_mas(matrix.view())? * unit))
 }
 
-/// A matrix of `shape`: the HDU in brackets, HDU `name` of the file, or its first image. `flat` orders
-/// the values of an image with three axes, as AOT has them, and says the shape of the matrix that they are.
+/// A matrix of `shape`: the HDU in brackets, HDU `name` of the file, or its first image. `flat`
+/// orders the values of an image with three axes, as AOT has them, and says the shape of the matrix
+/// that they are.
 fn read(
     path: &Path,
     name: &str,

@@ -1,7 +1,9 @@
-//! AO simulation, end to end: turbulence, Shack-Hartmann sensor, deformable mirror, control, science camera.
+//! AO simulation, end to end: turbulence, Shack-Hartmann sensor, deformable mirror, control,
+//! science camera.
 //!
-//! It makes images together with the aberrations that they contain. It shares only the telescope's geometry and the
-//! mirror's modes with the estimator: a simulator that made the estimator's approximations could not reveal them.
+//! It makes images together with the aberrations that they contain. It shares only the telescope's
+//! geometry and the mirror's modes with the estimator: a simulator that made the estimator's
+//! approximations could not reveal them.
 
 mod aligned;
 mod aot;

@@ -1,4 +1,5 @@
-//! A loop whose reference slopes were moved, as a correction of the NCPA moves them: the loop itself then puts the correction on the mirror.
+//! A loop whose reference slopes were moved, as a correction of the NCPA moves them: the loop
+//! itself then puts the correction on the mirror.
 
 use super::Simulator;
 use super::simulator::sections;
@@ -10,18 +11,20 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1};
 
-/// How long the mirror's commands are averaged after the loop has settled, s. Only the difference of two loops behind the same turbulence
-/// counts, in which the turbulence cancels; but the gain of each spot changes with it, by which reference slopes of 72 nm of NCPA
-/// move Keck's mirror by 5 nm RMS in means over 0.25 s, by 1.6 nm over 3 s, and by 0.9 nm in these (as the root of the time).
+/// How long the mirror's commands are averaged after the loop has settled, s. Only the difference
+/// of two loops behind the same turbulence counts, in which the turbulence cancels; but the gain of
+/// each spot changes with it, by which reference slopes of 72 nm of NCPA move Keck's mirror by 5 nm
+/// RMS in means over 0.25 s, by 1.6 nm over 3 s, and by 0.9 nm in these (as the root of the time).
 const AVERAGED_S: f64 = 10.0;
 
 impl Simulator {
-    /// The system of `scene` with the aberrations of `truth`, its loop settled about reference slopes that are further by `moved_mas` (`[all
-    /// x, all y]`) than those of the scene.
+    /// The system of `scene` with the aberrations of `truth`, its loop settled about reference
+    /// slopes that are further by `moved_mas` (`[all x, all y]`) than those of the scene.
     ///
-    /// The mirror then differs by a constant shape, found by simulating the loop with and without the move: blurred spots change less than
-    /// sharp ones, so the mirror moves further than a calibration without turbulence expects. [`Simulator::truth`] is what this leaves
-    /// on the camera's path. Slopes are relative to the moved reference.
+    /// The mirror then differs by a constant shape, found by simulating the loop with and without
+    /// the move: blurred spots change less than sharp ones, so the mirror moves further than a
+    /// calibration without turbulence expects. [`Simulator::truth`] is what this leaves on the
+    /// camera's path. Slopes are relative to the moved reference.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of slopes; as [`Simulator::with_truth`].
@@ -43,7 +46,8 @@ impl Simulator {
         Ok(simulator)
     }
 
-    /// By how much corrections have moved the reference slopes, `[all x, all y]`, mas; `None` where they have not.
+    /// By how much corrections have moved the reference slopes, `[all x, all y]`, mas; `None` where
+    /// they have not.
     pub fn moved_reference_mas(&self) -> Option<ArrayView1<'_, f64>> {
         Some(ArrayView1::from(&self.moved_reference_mas)).filter(|moved_mas| !moved_mas.is_empty())
     }
@@ -105,7 +109,8 @@ mod tests {
         (plain, system, commands_nm)
     }
 
-    /// Least-squares amplitude of the surface of `commands_nm` in what the truth of `system` has lost.
+    /// Least-squares amplitude of the surface of `commands_nm` in what the truth of `system` has
+    /// lost.
     fn amplitude(plain: &Simulator, system: &Simulator, commands_nm: &Array1<f64>) -> f64 {
         let pupil = &plain.telescope().pupil;
         let lit: Vec<(usize, usize)> = pupil.owned_samples().map(|(at, _)| at).collect();
@@ -119,7 +124,8 @@ mod tests {
 
     #[test]
     fn mirror_takes_the_sent_shape_and_the_camera_images_it() {
-        // Steps between segments would lower the gain of the quad cells that see them, by some 5 % in all.
+        // Steps between segments would lower the gain of the quad cells that see them, by some 5 %
+        // in all.
         let even = ["aberrations.segment_piston_rms_nm", "aberrations.segment_tip_tilt_rms_nm"].map(|key| (key, "0"));
         let scene = small("", &even).system().with(undisturb).unwrap();
         let (plain, mut system, commands_nm) = moved(&scene);
@@ -138,7 +144,8 @@ mod tests {
             bandwidth_fraction: 0.0,
             spectrum: false,
         };
-        // Through the mirror of the running loop, and by the truth alone behind a loop without the move.
+        // Through the mirror of the running loop, and by the truth alone behind a loop without the
+        // move.
         let mut camera = system.camera(view).unwrap();
         let residual_nm = (0..20).map(|_| system.step().unwrap().residual_nm.to_vec()).next_back().unwrap();
         let seen: Array2<f32> = camera.psf(&residual_nm);
@@ -158,7 +165,8 @@ mod tests {
         let (plain, system, commands_nm) = moved(&small("", &[]));
         let found = amplitude(&plain, &system, &commands_nm);
         println!("behind turbulence: {found:.3} of what was sent");
-        // 1.85: the slope of a quad cell is the shift over the size of its spot. Sharp spots have 0.99; a move that acted twice would have 3.7.
+        // 1.85: the slope of a quad cell is the shift over the size of its spot. Sharp spots have
+        // 0.99; a move that acted twice would have 3.7.
         assert!((1.5..2.2).contains(&found), "{found}");
     }
 

@@ -11,19 +11,21 @@ use crate::scene::{SensorScene, System};
 use crate::source::Truth;
 use crate::telescope::Telescope;
 
-/// Memory of a simulation for each sample of its grid, bytes, without the layers of turbulence: the pupil and its copy (24), the
-/// maps of loop and camera, and the weights of the segments (the field's share in the peak). Measured with Keck's loop at 1,280
-/// samples a side: 150 with one layer, 180 with seven.
+/// Memory of a simulation for each sample of its grid, bytes, without the layers of turbulence: the
+/// pupil and its copy (24), the maps of loop and camera, and the weights of the segments (the
+/// field's share in the peak). Measured with Keck's loop at 1,280 samples a side: 150 with one
+/// layer, 180 with seven.
 const BYTES_PER_SAMPLE: u64 = 150;
-/// Memory of a layer for each sample: its ring is stored twice where the wind blows along x, and twice as wide across a wind of 45
-/// degrees.
+/// Memory of a layer for each sample: its ring is stored twice where the wind blows along x, and
+/// twice as wide across a wind of 45 degrees.
 const BYTES_PER_LAYER_SAMPLE: u64 = 16;
 
-/// Pupil of `scene` on the grid of its sensor, `wavefront_sensor.samples_per_lenslet` samples across each lenslet, for a
-/// simulation of `layers` layers of turbulence.
+/// Pupil of `scene` on the grid of its sensor, `wavefront_sensor.samples_per_lenslet` samples
+/// across each lenslet, for a simulation of `layers` layers of turbulence.
 ///
 /// # Errors
-/// [`crate::Error::Value`] for a grid that is larger than the machine's memory; those of [`Telescope::pupil_on`].
+/// [`crate::Error::Value`] for a grid that is larger than the machine's memory; those of
+/// [`Telescope::pupil_on`].
 pub fn sensor_pupil(scene: &System, sensing: &SensorScene, telescope: &Telescope, layers: usize) -> Result<Pupil> {
     let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
     machine::check_memory(
@@ -37,11 +39,13 @@ pub fn sensor_pupil(scene: &System, sensing: &SensorScene, telescope: &Telescope
     telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)
 }
 
-/// Actuators of the scene's mirror that are in use, in the order of the tables ACTUATORS: those of its map, or those at a corner of
-/// a subaperture in use; without a wavefront sensor those near the pupil.
+/// Actuators of the scene's mirror that are in use, in the order of the tables ACTUATORS: those of
+/// its map, or those at a corner of a subaperture in use; without a wavefront sensor those near the
+/// pupil.
 ///
 /// # Errors
-/// [`crate::Error::File`] for a map of actuators or influence functions that cannot be read; those of building the pupil and the lenslets.
+/// [`crate::Error::File`] for a map of actuators or influence functions that cannot be read; those
+/// of building the pupil and the lenslets.
 pub fn actuators_in_use(scene: &System, telescope: &Telescope) -> Result<InfluenceFunctions> {
     if let Some(mapped) = Telescope::mapped_actuators(scene)? {
         return telescope.measured_influence(scene, mapped);
@@ -54,9 +58,9 @@ pub fn actuators_in_use(scene: &System, telescope: &Telescope) -> Result<Influen
     )
 }
 
-/// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
-/// sensor measures an actuator farther out only at the edge of a subaperture, and the noise of its command would be a
-/// hundred times that of the others.
+/// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a
+/// subaperture in use. The sensor measures an actuator farther out only at the edge of a
+/// subaperture, and the noise of its command would be a hundred times that of the others.
 pub(crate) fn actuators(scene: &System, lenslets: &Lenslets, telescope: &Telescope) -> Result<InfluenceFunctions> {
     let chosen = match Telescope::mapped_actuators(scene)? {
         Some(mapped) => mapped,
@@ -70,8 +74,9 @@ fn at_subapertures(scene: &System, lenslets: &Lenslets) -> Result<InfluenceFunct
     let mirror = Telescope::mirror(scene)?;
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
-    // An actuator is at a corner of the subapertures within half a lenslet, and where lenslets are finer than the actuators, of all within a pitch:
-    // without them the rim of the pupil would be out of control. Rounding must not decide.
+    // An actuator is at a corner of the subapertures within half a lenslet, and where lenslets are
+    // finer than the actuators, of all within a pitch: without them the rim of the pupil would be
+    // out of control. Rounding must not decide.
     let reach_m = (0.501 * lenslets.pitch_m).max(mirror.pitch_m() - 0.499 * lenslets.pitch_m);
     mirror.select(|x_m, y_m| {
         let is_near = |&place: &usize| {
@@ -118,7 +123,8 @@ mod tests {
             count(&[]),
             count(&[("wavefront_sensor.lenslets_across", "40"), ("wavefront_sensor.samples_per_lenslet", "6")]),
         );
-        // The same mirror; a lenslet in use has half of its light, which along the rim of the pupil selects some differently.
+        // The same mirror; a lenslet in use has half of its light, which along the rim of the pupil
+        // selects some differently.
         assert_eq!(usual, 296);
         assert!(fine.abs_diff(usual) < 20, "{fine} {usual}");
     }

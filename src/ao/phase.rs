@@ -1,7 +1,7 @@
 //! Phasor exp(2πi·OPD/λ) in single precision, in a form that compiles to vector code.
 
-/// Coefficients in r² of sin(πr)/r and cos(πr) on |r| ≤ ½: Chebyshev fits of degree 4, within 1.4e-8 and 4.7e-8, below
-/// the rounding of single precision.
+/// Coefficients in r² of sin(πr)/r and cos(πr) on |r| ≤ ½: Chebyshev fits of degree 4, within
+/// 1.4e-8 and 4.7e-8, below the rounding of single precision.
 const SIN: [f32; 5] = [std::f32::consts::PI, -5.167_71, 2.550_077_5, -0.598_291_3, 0.077_657_66];
 const COS: [f32; 5] = [0.999_999_95, -4.934_793, 4.058_411_4, -1.331_876_6, 0.219_689_61];
 /// 1.5·2²³: adding and subtracting it rounds to the nearest integer.
@@ -29,8 +29,8 @@ mod tests {
             let turns = i as f32 * 0.000_731;
             let (cos, sin) = unit_phasor(turns);
             let (true_sin, true_cos) = (f64::from(turns) * std::f64::consts::TAU).sin_cos();
-            // Sine and cosine of the half angle carry two roundings of 6e-8 and the fit's 5e-8; the doubled angle takes
-            // four times that.
+            // Sine and cosine of the half angle carry two roundings of 6e-8 and the fit's 5e-8; the
+            // doubled angle takes four times that.
             assert!((f64::from(cos) - true_cos).abs() < 8e-7 && (f64::from(sin) - true_sin).abs() < 8e-7, "{turns}");
         }
     }

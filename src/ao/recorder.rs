@@ -37,8 +37,8 @@ pub trait Recorder {
         Ok(())
     }
 
-    /// Receives every image some time after its last frame: in the order of the exposures, those of one exposure in the order of the
-    /// channels.
+    /// Receives every image some time after its last frame: in the order of the exposures, those of
+    /// one exposure in the order of the channels.
     ///
     /// # Errors
     /// An error of the implementation; it stops the run.
@@ -63,9 +63,11 @@ pub struct Summary {
     pub seconds: f64,
     /// RMS of the residual wavefront over the frames after settling, nm.
     pub residual_rms_nm: f64,
-    /// Strehl ratio of a long exposure of the loop's residual at the wavelength of the scene, or of its first channel, without NCPA and diversity.
+    /// Strehl ratio of a long exposure of the loop's residual at the wavelength of the scene, or of
+    /// its first channel, without NCPA and diversity.
     pub strehl: f64,
-    /// The same Strehl ratio by Maréchal's approximation from the RMS of every frame after settling.
+    /// The same Strehl ratio by Maréchal's approximation from the RMS of every frame after
+    /// settling.
     pub strehl_marechal: f64,
     /// Electrons of the star in an image of each channel; one number for a scene without channels.
     pub flux_e: Vec<f64>,

@@ -5,7 +5,8 @@
 //!                   <─ empty batches ────                        <─ images ───────────────
 //! ```
 //!
-//! Each thread draws from its own random number streams, so the result does not depend on their timing.
+//! Each thread draws from its own random number streams, so the result does not depend on their
+//! timing.
 
 use super::atmosphere::Atmosphere;
 use super::detector::Detector;
@@ -21,7 +22,8 @@ use crate::{Error, Result};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
 
-/// Frames of turbulence in a batch: enough to make the exchange between threads cheap, few enough to fit the cache.
+/// Frames of turbulence in a batch: enough to make the exchange between threads cheap, few enough
+/// to fit the cache.
 const BATCH: usize = 8;
 /// Batches in circulation.
 const BATCHES: usize = 3;
@@ -31,11 +33,12 @@ const WAITING: usize = 32;
 impl Simulator {
     /// Closes the loop until the scene's images are taken, or the loop diverges.
     ///
-    /// The run starts at the simulator's present frame, and its times count from there. After a run that stopped early,
-    /// the turbulence may be some frames ahead of the loop.
+    /// The run starts at the simulator's present frame, and its times count from there. After a run
+    /// that stopped early, the turbulence may be some frames ahead of the loop.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where `control` was cancelled; the errors of `recorder` and of the camera.
+    /// [`Error::Interrupted`] where `control` was cancelled; the errors of `recorder` and of the
+    /// camera.
     pub fn run(&mut self, recorder: &mut dyn Recorder, control: &Control) -> Result<Summary> {
         let started = Instant::now();
         let scene = self.scene().clone();
@@ -67,11 +70,13 @@ impl Simulator {
             let (exposed, wavefronts) = sync_channel(WAITING);
             let (images, finished) = channel();
             let camera = scope.spawn(move || detector.run(&wavefronts, &images));
-            // Both threads end when `close` returns, with or without an error, and drops their channels.
+            // Both threads end when `close` returns, with or without an error, and drops their
+            // channels.
             let outcome = run.close(ready, empty, exposed, &finished, control);
             let turbulence = turbulence.join().map_err(|_| Error::Internal("the turbulence thread panicked".into()));
             let camera = camera.join().map_err(|_| Error::Internal("the detector thread panicked".into()));
-            // An error of the turbulence also stops the loop: it is the cause, so it is returned first.
+            // An error of the turbulence also stops the loop: it is the cause, so it is returned
+            // first.
             let turbulence = turbulence??;
             outcome?;
             run.collect(&finished)?;
@@ -218,8 +223,8 @@ mod tests {
             let sparse = dense.with(&[("control.filtered_modes", ""), ("control.reconstructor", "sparse")]).unwrap();
             let [dense, sparse] = [dense, sparse].map(|scene| run(&scene).1);
             println!("{}: {:.4} {:.4}", r#loop, dense.strehl_marechal, sparse.strehl_marechal);
-            // The same loop but for a handful of weak modes, in which the regularisation may save a little noise. It must not cost half of
-            // the 1 % by which a user would see it.
+            // The same loop but for a handful of weak modes, in which the regularisation may save a
+            // little noise. It must not cost half of the 1 % by which a user would see it.
             let ratio = sparse.strehl_marechal / dense.strehl_marechal;
             assert!(sparse.divergence.is_none() && (0.995..1.02).contains(&ratio), "{}: {ratio}", r#loop);
         }

@@ -4,8 +4,8 @@ use crate::scene::{ImageScene, System};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// Exposures of the channels of a scene: of all channels at the same frames (`image.simultaneous`), or of one channel after
-/// another, each an interval after the one before.
+/// Exposures of the channels of a scene: of all channels at the same frames (`image.simultaneous`),
+/// or of one channel after another, each an interval after the one before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Schedule {
     pub(super) rate_hz: f64,
@@ -46,7 +46,8 @@ impl ScheduledExposure {
 }
 
 impl Schedule {
-    /// The schedule of `scene`, for a loop of `rate_hz` whose first exposure begins after `settle_s`.
+    /// The schedule of `scene`, for a loop of `rate_hz` whose first exposure begins after
+    /// `settle_s`.
     ///
     /// # Errors
     /// [`Error::Scene`] for simultaneous channels with other numbers or times of exposures.

@@ -32,11 +32,13 @@ use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Random number stream of the sensor's noise under the seed of the turbulence; the streams below are the layers'.
+/// Random number stream of the sensor's noise under the seed of the turbulence; the streams below
+/// are the layers'.
 const SENSOR_STREAM: u64 = 1 << 32;
 
-/// Share of an image's light that the simulator's grid filters away above which it warns. 0.28 % cost 1 nm of NCPA (80 samples across ten
-/// lenslets, 40 λ/D of image); at 0.08 %, those of `keck-pyramid`, the mean error of three draws was 0.5 nm, as their scatter lets expect.
+/// Share of an image's light that the simulator's grid filters away above which it warns. 0.28 %
+/// cost 1 nm of NCPA (80 samples across ten lenslets, 40 λ/D of image); at 0.08 %, those of
+/// `keck-pyramid`, the mean error of three draws was 0.5 nm, as their scatter lets expect.
 const LARGEST_LIGHT_FILTERED: f64 = 0.0015;
 
 /// AO simulation: telescope, turbulence, loop and science camera of a scene.
@@ -49,7 +51,8 @@ pub struct Simulator {
     /// At least one.
     pub(super) channels: Vec<ChannelOptics>,
     truth: Truth,
-    /// What a static shape of the mirror leaves of `truth` on the camera's path; `None` without one.
+    /// What a static shape of the mirror leaves of `truth` on the camera's path; `None` without
+    /// one.
     pub(super) seen_truth: Option<Truth>,
     /// By how much corrections have moved the reference slopes, mas; empty where they have not.
     pub(super) moved_reference_mas: Vec<f64>,
@@ -76,8 +79,8 @@ impl Simulator {
     /// Builds the system of `scene`, with aberrations drawn from `aberrations.seed`.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a scene without a sensor or control, and for simultaneous channels with other numbers or times of
-    /// exposures; the errors of building each part.
+    /// [`Error::Scene`] for a scene without a sensor or control, and for simultaneous channels with
+    /// other numbers or times of exposures; the errors of building each part.
     pub fn new(scene: &System) -> Result<Self> {
         let telescope = Telescope::new(scene)?;
         let seed = scene.seed();
@@ -194,8 +197,8 @@ impl Simulator {
         Ok(self.correction.last(&self.residual_nm))
     }
 
-    /// Advances the loop by one frame in which `extra_nm`, a map over the footprint, is added to the turbulence: a
-    /// vibration, a test signal, or a layer of the caller's.
+    /// Advances the loop by one frame in which `extra_nm`, a map over the footprint, is added to
+    /// the turbulence: a vibration, a test signal, or a layer of the caller's.
     ///
     /// # Errors
     /// [`Error::Shape`] for a map of another size.
@@ -212,7 +215,8 @@ impl Simulator {
         Ok(self.correction.last(&self.residual_nm))
     }
 
-    /// A sentence for each channel whose images have errors because the simulator's grid is too coarse for them.
+    /// A sentence for each channel whose images have errors because the simulator's grid is too
+    /// coarse for them.
     pub fn warnings(&self) -> Vec<String> {
         let (samples, pupil) = (self.pupil.grid.samples(), &self.telescope.pupil);
         let sentence = |channel: &ChannelOptics| {
@@ -232,7 +236,8 @@ impl Simulator {
         self.channels.iter().filter_map(sentence).collect()
     }
 
-    /// Builds a camera of this system's images, with the diversity and the filter of the first channel.
+    /// Builds a camera of this system's images, with the diversity and the filter of the first
+    /// channel.
     ///
     /// # Errors
     /// As [`ScienceCamera::new`].
@@ -274,7 +279,8 @@ impl Simulator {
         &self.correction.footprint
     }
 
-    /// The static aberrations on the camera's path, a static shape that moved reference slopes put on the mirror included.
+    /// The static aberrations on the camera's path, a static shape that moved reference slopes put
+    /// on the mirror included.
     pub fn truth(&self) -> &Truth {
         self.seen_truth.as_ref().unwrap_or(&self.truth)
     }

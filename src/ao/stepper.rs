@@ -1,5 +1,5 @@
-//! Loop that the caller advances frame by frame, with an image of the present frame: the simulator of the C, MATLAB and
-//! Python interfaces.
+//! Loop that the caller advances frame by frame, with an image of the present frame: the simulator
+//! of the C, MATLAB and Python interfaces.
 
 use super::correction::LoopFrame;
 use super::detector::Detector;
@@ -9,13 +9,13 @@ use crate::scene::System;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// First random number stream of the noise of images of single frames, under the seed of the turbulence. Each frame has
-/// a stream of its own, so that an image does not depend on the other images taken. The streams below are those of the
-/// layers, of the sensor and of a run's camera.
+/// First random number stream of the noise of images of single frames, under the seed of the
+/// turbulence. Each frame has a stream of its own, so that an image does not depend on the other
+/// images taken. The streams below are those of the layers, of the sensor and of a run's camera.
 const FRAME_STREAM: u64 = 3 << 32;
 
-/// Simulator with a science camera, on one thread. For a whole run, [`Simulator::run`] is faster: it uses three
-/// threads.
+/// Simulator with a science camera, on one thread. For a whole run, [`Simulator::run`] is faster:
+/// it uses three threads.
 pub struct Stepper {
     simulator: Simulator,
     detector: Detector,
@@ -39,7 +39,8 @@ impl Stepper {
         Ok(Self { simulator, detector, monitor, divergence: None })
     }
 
-    /// Advances the loop by `frames` frames. A loop that diverges is not stopped: see [`Stepper::divergence`].
+    /// Advances the loop by `frames` frames. A loop that diverges is not stopped: see
+    /// [`Stepper::divergence`].
     ///
     /// # Errors
     /// As [`Simulator::step`].
@@ -63,7 +64,8 @@ impl Stepper {
         Ok(self.simulator.correction.last(&self.simulator.residual_nm))
     }
 
-    /// The residual wavefront of the last frame on the simulator's grid, nm, `[y, x]`; NaN outside the pupil.
+    /// The residual wavefront of the last frame on the simulator's grid, nm, `[y, x]`; NaN outside
+    /// the pupil.
     ///
     /// # Errors
     /// As [`Stepper::last`].
@@ -76,8 +78,8 @@ impl Stepper {
         }))
     }
 
-    /// The scene's defocused image of the last frame, with frozen turbulence and the noise that the scene names, `[y,
-    /// x]`, electrons. The same frame gives the same image.
+    /// The scene's defocused image of the last frame, with frozen turbulence and the noise that the
+    /// scene names, `[y, x]`, electrons. The same frame gives the same image.
     ///
     /// # Errors
     /// As [`Stepper::last`].
@@ -116,7 +118,8 @@ mod tests {
 
     #[test]
     fn images_and_telemetry_of_a_frame_equal_those_of_a_run() {
-        // Without the noise of the camera, whose streams differ. Everything else is equal to the last bit.
+        // Without the noise of the camera, whose streams differ. Everything else is equal to the
+        // last bit.
         let quiet = scene(&[
             ("image.photon_noise", "false"),
             ("image.read_noise_e", "0.0"),
@@ -164,7 +167,8 @@ mod tests {
 
     #[test]
     fn an_unstable_loop_diverges_once_and_is_not_stopped() {
-        // Two frames of lag are stable up to a gain of 1; without a stroke limit the commands grow without bound.
+        // Two frames of lag are stable up to a gain of 1; without a stroke limit the commands grow
+        // without bound.
         let mut unstable = Stepper::new(&scene(&[("control.gain", "2.0"), ("control.lag_frames", "2")])).unwrap();
         unstable.step(2000).unwrap();
         let first = unstable.divergence().unwrap();

@@ -1,4 +1,5 @@
-//! Lower bound of the work of a frame: floating-point operations and bytes, stage by stage, to compare a profile with.
+//! Lower bound of the work of a frame: floating-point operations and bytes, stage by stage, to
+//! compare a profile with.
 
 use super::profile::LoopStage;
 use super::simulator::Simulator;
@@ -17,8 +18,8 @@ pub struct LoopWork {
 const PHASOR: f64 = 26.0;
 
 impl Simulator {
-    /// Least work of a stage in a frame. For the turbulence it is that of the interpolation alone; the work of new
-    /// turbulence depends on the wind.
+    /// Least work of a stage in a frame. For the turbulence it is that of the interpolation alone;
+    /// the work of new turbulence depends on the wind.
     pub fn work(&self, stage: LoopStage) -> LoopWork {
         let footprint = self.footprint();
         let samples: f64 = (0..footprint.samples()).map(|y| footprint.span(y).len() as f64).sum();
@@ -31,7 +32,8 @@ impl Simulator {
             }
             LoopStage::Mirror => {
                 let (columns, rows) = self.surface_taps();
-                // Turbulence read, residual written, amplitude and segments read; six operations for the moments.
+                // Turbulence read, residual written, amplitude and segments read; six operations
+                // for the moments.
                 LoopWork { flops: 2.0 * (columns + rows) + 6.0 * samples, bytes: 4.0 * map + self.surface_bytes() }
             }
             LoopStage::Sensor => {
@@ -61,11 +63,11 @@ impl Simulator {
 fn operations_per_sample(sensing: &SensorScene) -> f64 {
     let n = sensing.samples_per_lenslet as f64;
     match sensing.detector {
-        // Pairs at odd distances within a lenslet's line: n²/4 of them for n samples, along both axes; a product of two
-        // complex numbers' imaginary part, weighted and added.
+        // Pairs at odd distances within a lenslet's line: n²/4 of them for n samples, along both
+        // axes; a product of two complex numbers' imaginary part, weighted and added.
         SensorDetector::QuadCell => PHASOR + 2.0 * (n / 4.0) * 5.0,
-        // Complex products with 2n × n matrices, of n lines and then of 2n: 6n³ of 8 operations for n² samples; then
-        // the intensities of 4n² points, 3 operations each.
+        // Complex products with 2n × n matrices, of n lines and then of 2n: 6n³ of 8 operations for
+        // n² samples; then the intensities of 4n² points, 3 operations each.
         SensorDetector::Pixels => PHASOR + 48.0 * n + 12.0,
         // Two differences, weighted, with their weights.
         SensorDetector::Geometric => 8.0,

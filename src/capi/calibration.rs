@@ -6,8 +6,8 @@ use crate::modal::{Calibration, CameraMaps};
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but struct_size: frames are
-/// electrons, or counts where the scene has image.gain_e_per_adu.
+/// Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but
+/// struct_size: frames are electrons, or counts where the scene has image.gain_e_per_adu.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -33,7 +33,8 @@ pub(super) unsafe fn has_gain(calibration: *const cophase_calibration) -> Result
     Ok(unsafe { sized::read(calibration, "calibration") }?.gain_e != 0.0)
 }
 
-/// A caller's calibration for frames of `shape` (rows, columns), with `scene_gain` where it gives no gain; electrons for NULL.
+/// A caller's calibration for frames of `shape` (rows, columns), with `scene_gain` where it gives
+/// no gain; electrons for NULL.
 pub(super) unsafe fn calibration(
     calibration: *const cophase_calibration,
     shape @ (rows, cols): (usize, usize),

@@ -18,7 +18,8 @@ pub struct cophase_correction_report {
     pub segments: usize,
     /// Number of the mirror's actuators; 0 where the scene names no mirror.
     pub actuators: usize,
-    /// Number of slopes of the wavefront sensor; 0 where no slopes were measured, and in a modal estimate.
+    /// Number of slopes of the wavefront sensor; 0 where no slopes were measured, and in a modal
+    /// estimate.
     pub slopes: usize,
     /// NCPA modes that are corrected.
     pub corrected_modes: usize,
@@ -36,25 +37,29 @@ pub struct cophase_correction_report {
     pub held_segment_modes: usize,
     /// NCPA modes that are held.
     pub held_ncpa_modes: usize,
-    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by the convention edge-minimising), nm2.
+    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by the
+    /// convention edge-minimising), nm2.
     pub segments_drop_nm2: f64,
     /// Expected drop of the sum of squares of the NCPA modes, nm2.
     pub ncpa_drop_nm2: f64,
 }
 
-/// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
-/// the controllers that the scene describes. The scene's section [commands] has gain, deadband and convention; errors whose correction is not
-/// expected to lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About a second at the size of Keck
-/// where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a
-/// mode is held.
+/// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the
+/// estimated errors, also in the terms of the controllers that the scene describes. The scene's
+/// section [commands] has gain, deadband and convention; errors whose correction is not expected to
+/// lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About
+/// a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
+/// COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a mode is held.
 ///
-/// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
-/// wavelengths are known). The limits of the controllers' channels hold in addition.
+/// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the
+/// wavelength (none where the whole wavelengths are known). The limits of the controllers' channels
+/// hold in addition.
 /// path: FITS file to write, or text for a name that ends in .txt, UTF-8; NULL for none.
 /// report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
 ///
-/// COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons; COPHASE_BAD_FILE for a controller's table or
-/// matrix that cannot be read or does not fit. COPHASE_BUSY while other threads read the estimate.
+/// COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons;
+/// COPHASE_BAD_FILE for a controller's table or matrix that cannot be read or does not fit.
+/// COPHASE_BUSY while other threads read the estimate.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimate_correct(
     estimate: *mut cophase_estimate,

@@ -16,14 +16,15 @@ use std::path::Path;
 
 /// Method of an estimate: static modes fitted to each image, images combined.
 pub const COPHASE_METHOD_MODAL: i32 = 1;
-/// Method of an estimate: maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the
-/// turbulence.
+/// Method of an estimate: maximum a posteriori (MAP) wavefront behind each exposure, static errors
+/// separated from the turbulence.
 pub const COPHASE_METHOD_MAP: i32 = 2;
 
-/// Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the mirror's pitch and ordinary
-/// seeing.
+/// Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the
+/// mirror's pitch and ordinary seeing.
 pub const COPHASE_AO_KNOWLEDGE_NOTHING: i32 = 1;
-/// Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control.
+/// Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and
+/// control.
 pub const COPHASE_AO_KNOWLEDGE_SPECTRUM: i32 = 2;
 /// Knowledge: also the closed loop's response to the segments.
 pub const COPHASE_AO_KNOWLEDGE_LOOP: i32 = 3;
@@ -36,38 +37,46 @@ pub const COPHASE_ARRAY_COEFFICIENTS_NM: i32 = 1;
 pub const COPHASE_ARRAY_SIGMA_NM: i32 = 2;
 /// Array: covariance of the coefficients, nm^2; modes x modes.
 pub const COPHASE_ARRAY_COVARIANCE_NM2: i32 = 3;
-/// Array: coefficients of each image, nm, NaN for unusable images; images x modes. Modal estimates only.
+/// Array: coefficients of each image, nm, NaN for unusable images; images x modes. Modal estimates
+/// only.
 pub const COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM: i32 = 4;
-/// Array: maps of phasing errors, NCPA, and the standard deviation of each, nm, NaN outside the pupil; 4 x samples x samples.
+/// Array: maps of phasing errors, NCPA, and the standard deviation of each, nm, NaN outside the
+/// pupil; 4 x samples x samples.
 pub const COPHASE_ARRAY_MAPS_NM: i32 = 5;
-/// Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm RMS over the pupil;
-/// error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and ncpa_sigma_nm.
+/// Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm
+/// RMS over the pupil; error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and
+/// ncpa_sigma_nm.
 pub const COPHASE_ARRAY_ERROR_BUDGET_NM: i32 = 6;
-/// Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront, which a positive piston raises;
-/// segments.
+/// Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of
+/// wavefront, which a positive piston raises; segments.
 pub const COPHASE_ARRAY_CORRECTION_PISTONS_NM: i32 = 7;
-/// Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront, from which the mirror is
-/// subtracted; actuators.
+/// Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of
+/// wavefront, from which the mirror is subtracted; actuators.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_NM: i32 = 8;
 /// Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
-/// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
-/// then along y; slopes. The loop then puts the correction on the mirror. Without elements in a modal estimate, and without measured slopes.
+/// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along
+/// x for every subaperture, then along y; slopes. The loop then puts the correction on the mirror.
+/// Without elements in a modal estimate, and without measured slopes.
 pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
-/// Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
-/// the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
+/// Array: whole wavelengths of the first channel that were added to the piston of each segment,
+/// their probability, and the piston of the second most probable number relative to this one, nm;
+/// integers x 3. For channels of several wavelengths.
 pub const COPHASE_ARRAY_PISTON_INTEGERS: i32 = 11;
 
-/// Array, after cophase_estimate_correct: what to add to each channel of the segments' controller (scene section [commands]), in its
-/// unit; segment_commands.
+/// Array, after cophase_estimate_correct: what to add to each channel of the segments' controller
+/// (scene section [commands]), in its unit; segment_commands.
 pub const COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS: i32 = 12;
-/// Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands.
+/// Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller,
+/// in its unit; actuator_commands.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS: i32 = 13;
-/// Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
-/// segment; tilts. Without elements where the estimate has no tilts of segments.
+/// Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt
+/// of each, nm of wavefront RMS over the segment; tilts. Without elements where the estimate has no
+/// tilts of segments.
 pub const COPHASE_ARRAY_CORRECTION_TILTS_NM: i32 = 14;
 
-/// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
+/// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt
+/// removed.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
@@ -118,11 +127,11 @@ pub struct cophase_estimate_info {
     pub wavefront_rms_nm: f64,
     /// Expected error of both together, nm RMS; NaN in a MAP estimate.
     pub wavefront_sigma_nm: f64,
-    /// Median reduced chi-square of the images that were used. Turbulence finer than the model's samples makes it 4 to 5
-    /// behind a bright star in a MAP estimate.
+    /// Median reduced chi-square of the images that were used. Turbulence finer than the model's
+    /// samples makes it 4 to 5 behind a bright star in a MAP estimate.
     pub reduced_chi2: f64,
-    /// Further images like these that halve both error bars; infinity if no number does; NaN if unknown, as in a modal
-    /// estimate.
+    /// Further images like these that halve both error bars; infinity if no number does; NaN if
+    /// unknown, as in a modal estimate.
     pub images_to_halve: f64,
     /// Side of a map, m.
     pub map_width_m: f64,
@@ -130,14 +139,15 @@ pub struct cophase_estimate_info {
     pub seconds: f64,
     /// Duration of building the model, s, where that is apart.
     pub model_seconds: f64,
-    /// Measured slopes over those of the retrieved wavefronts, about 1 if the telemetry belongs to the images; NaN without
-    /// telemetry.
+    /// Measured slopes over those of the retrieved wavefronts, about 1 if the telemetry belongs to
+    /// the images; NaN without telemetry.
     pub telemetry_gain: f64,
     /// Their correlation; NaN without telemetry.
     pub telemetry_correlation: f64,
     /// Number of channels; 0 for a scene without ([[image.channel]]).
     pub channels: usize,
-    /// Number of segments whose whole wavelengths were determined, rows of COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength.
+    /// Number of segments whose whole wavelengths were determined, rows of
+    /// COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength.
     pub integers: usize,
 }
 
@@ -230,8 +240,8 @@ fn images_to_halve(estimate: &Estimate) -> f64 {
 
 /// Writes the reports on all images.
 ///
-/// reports: receives `count` reports of report_size bytes each. report_size: sizeof(cophase_image_report). count: images of
-/// the estimate.
+/// reports: receives `count` reports of report_size bytes each. report_size:
+/// sizeof(cophase_image_report). count: images of the estimate.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimate_images(
     estimate: *const cophase_estimate,
@@ -258,8 +268,9 @@ pub unsafe extern "C" fn cophase_estimate_images(
 ///
 /// what: a COPHASE_ARRAY_ number, which says shape and unit. out: receives `count` numbers.
 ///
-/// COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one. COPHASE_BAD_VALUE for an array that
-/// this estimate does not have, and for COPHASE_ARRAY_CORRECTION_ arrays before cophase_estimate_correct.
+/// COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one.
+/// COPHASE_BAD_VALUE for an array that this estimate does not have, and for
+/// COPHASE_ARRAY_CORRECTION_ arrays before cophase_estimate_correct.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimate_array(
     estimate: *const cophase_estimate,
@@ -342,8 +353,8 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
 
 /// Writes a text of an estimate.
 ///
-/// what: a COPHASE_TEXT_ number. index: which image, mode, term, channel or command; ignored for the other texts. text, capacity, length: as
-/// in cophase_device_list.
+/// what: a COPHASE_TEXT_ number. index: which image, mode, term, channel or command; ignored for
+/// the other texts. text, capacity, length: as in cophase_device_list.
 ///
 /// COPHASE_BAD_VALUE for an index out of range.
 #[unsafe(no_mangle)]
@@ -394,7 +405,8 @@ pub unsafe extern "C" fn cophase_estimate_text(
     }
 }
 
-/// Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be written.
+/// Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be
+/// written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimate_write(
     estimate: *const cophase_estimate,

@@ -4,8 +4,9 @@ use super::handle::{Handle, Object};
 use crate::loop_response::Corrections;
 use crate::pipeline::Estimate;
 
-/// Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
-/// several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
+/// Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that
+/// take it as const may run in several threads at once; cophase_estimate_correct only while no
+/// other call runs (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_estimate(pub(super) Handle<EstimateState>);
 

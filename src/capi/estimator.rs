@@ -33,11 +33,11 @@ pub const COPHASE_STAGE_RETRIEVING: i32 = 5;
 /// Stage: static errors are separated from the turbulence (MAP).
 pub const COPHASE_STAGE_SEPARATING: i32 = 6;
 
-/// Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP, estimate.method =
-/// "full-phase") as the scene says. It can be used again and again.
+/// Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP,
+/// estimate.method = "full-phase") as the scene says. It can be used again and again.
 ///
-/// One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and cophase_estimator_progress, which any
-/// thread may call at any time.
+/// One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and
+/// cophase_estimator_progress, which any thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_estimator(Handle<Working, Control>);
 
@@ -61,7 +61,8 @@ pub struct cophase_estimator_options {
     pub struct_size: usize,
     /// COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME.
     pub policy: i32,
-    /// Number of threads, at most 64 or four for each processor; 0 or -1 for one per processor. Results do not depend on it.
+    /// Number of threads, at most 64 or four for each processor; 0 or -1 for one per processor.
+    /// Results do not depend on it.
     pub threads: i32,
 }
 
@@ -74,11 +75,13 @@ unsafe impl Options for cophase_estimator_options {}
 pub struct cophase_estimate_options {
     /// sizeof(cophase_estimate_options).
     pub struct_size: usize,
-    /// Calibration of the frames; NULL: frames are electrons, or counts where the scene has image.gain_e_per_adu.
+    /// Calibration of the frames; NULL: frames are electrons, or counts where the scene has
+    /// image.gain_e_per_adu.
     pub calibration: *const cophase_calibration,
     /// Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1.
     pub read_noise_e: f64,
-    /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's.
+    /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
+    ///   scene's.
     pub has_read_noise: i64,
 }
 
@@ -111,15 +114,15 @@ fn pool(threads: i32) -> Result<Option<ThreadPool>> {
 
 /// Makes an estimator of a scene.
 ///
-/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
-///   takes some seconds. Nothing else is built before the first estimate; its model is kept for the next ones, unless a
-///   file that the scene names changes.
+/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is
+///   planned here, which takes some seconds. Nothing else is built before the first estimate; its
+///   model is kept for the next ones, unless a file that the scene names changes.
 /// directory: directory of the files that the scene names; NULL for the working directory.
 /// options: NULL for the defaults.
 /// estimator: receives the handle.
 ///
-/// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does not honour.
-/// COPHASE_BAD_FILE for a file that the scene names and that does not exist.
+/// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does
+/// not honour. COPHASE_BAD_FILE for a file that the scene names and that does not exist.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimator_create(
     scene_text: *const c_char,
@@ -162,7 +165,8 @@ unsafe fn control<'a>(estimator: *const cophase_estimator) -> Result<&'a Control
     Ok(&unsafe { find(estimator, "estimator") }?.0.aside)
 }
 
-/// Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED at its next safe
+/// Makes the estimate that is running in another thread, or else the next one, return
+/// COPHASE_INTERRUPTED at its next safe
 /// place: within a second or two at the size of Keck. A signal handler may call it. [RT]
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimator_cancel(estimator: *const cophase_estimator) -> cophase_status {
@@ -177,8 +181,8 @@ pub unsafe extern "C" fn cophase_estimator_cancel(estimator: *const cophase_esti
 
 /// Progress of the estimate that is running in another thread. [RT]
 ///
-/// stage: receives a COPHASE_STAGE_ number. done, total: receive the steps (images) of this stage that are done, and their
-/// number, 0 if it is unknown. Each may be NULL.
+/// stage: receives a COPHASE_STAGE_ number. done, total: receive the steps (images) of this stage
+/// that are done, and their number, 0 if it is unknown. Each may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimator_progress(
     estimator: *const cophase_estimator,
@@ -194,36 +198,42 @@ pub unsafe extern "C" fn cophase_estimator_progress(
     })
 }
 
-/// Images of one channel: of the only one of a scene, or of one that it lists ([[image.channel]]). The layout of this struct is permanent.
+/// Images of one channel: of the only one of a scene, or of one that it lists ([[image.channel]]).
+/// The layout of this struct is permanent.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct cophase_channel_images {
-    /// Name of the channel, UTF-8; NULL for all: they are in the order of the scene. NULL where the scene lists no channels.
+    /// Name of the channel, UTF-8; NULL for all: they are in the order of the scene. NULL where the
+    /// scene lists no channels.
     pub channel: *const c_char,
-    /// Images of the same static errors, count x rows x cols as the channel says. Of frames with one row or column more the last
-    /// is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part, are those
-    /// of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column cols/2,
-    /// rounded down.
+    /// Images of the same static errors, count x rows x cols as the channel says. Of frames with
+    /// one row or column more the last is left out, which COPHASE_TEXT_REMARKS says; the
+    /// calibration then has it, too. Bad pixels, which take no part, are those of the calibration,
+    /// values that are not finite, and saturated ones. The optical axis is on row rows/2 and column
+    /// cols/2, rounded down.
     pub frames: *const cophase_input,
     /// Its options; NULL for the defaults.
     pub options: *const cophase_estimate_options,
-    /// Telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure, along x for every
-    /// subaperture, then along y; NaN for all of an image without telemetry; NULL without any. Of its exposures, also where the
-    /// channels are simultaneous. Slopes are used where every channel has them.
+    /// Telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over
+    /// each exposure, along x for every subaperture, then along y; NaN for all of an image without
+    /// telemetry; NULL without any. Of its exposures, also where the channels are simultaneous.
+    /// Slopes are used where every channel has them.
     pub slopes_mas: *const cophase_input,
 }
 
-/// Estimates the static wavefront behind images: of one channel, or of several (defocuses, wavelengths). What is wrong with single
-/// images is in their reports; what to know of the whole is in COPHASE_TEXT_WARNINGS of the estimate.
+/// Estimates the static wavefront behind images: of one channel, or of several (defocuses,
+/// wavelengths). What is wrong with single images is in their reports; what to know of the whole is
+/// in COPHASE_TEXT_WARNINGS of the estimate.
 ///
-/// channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1 for a scene that
-///   lists none.
+/// channels: images of each channel of the scene, in any order where they are named. count: number
+///   of channels; 1 for a scene that lists none.
 /// estimate: receives the handle.
 ///
-/// COPHASE_BAD_SHAPE for images of other channels than the scene has, and for frames or slopes of another shape.
-/// COPHASE_BAD_IMAGE if no image can be used (fewer than two in a MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the
-/// telescope cannot be built. COPHASE_DEVICE if the device that the scene names is absent or fails. COPHASE_INTERRUPTED after
+/// COPHASE_BAD_SHAPE for images of other channels than the scene has, and for frames or slopes of
+/// another shape. COPHASE_BAD_IMAGE if no image can be used (fewer than two in a MAP estimate).
+/// COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the telescope cannot be built. COPHASE_DEVICE if the
+/// device that the scene names is absent or fails. COPHASE_INTERRUPTED after
 /// cophase_estimator_cancel.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimator_estimate(
@@ -255,7 +265,8 @@ fn handle_of(estimate: Estimate) -> *mut cophase_estimate {
     Box::into_raw(Box::new(cophase_estimate(Handle::new::<cophase_estimate>(EstimateState::new(estimate), ()))))
 }
 
-/// A caller's images of one of the channels `known`, names and scenes: of that with their name or, without one, the channel `index`.
+/// A caller's images of one of the channels `known`, names and scenes: of that with their name or,
+/// without one, the channel `index`.
 unsafe fn images_of_channel(
     given: &cophase_channel_images,
     index: usize,
@@ -313,7 +324,8 @@ unsafe fn images(
     Ok(Images { read_noise_e, ..images })
 }
 
-/// Rows and columns of a frame and its calibration: those of the scene or, of odd frames, one more, which the estimate leaves out.
+/// Rows and columns of a frame and its calibration: those of the scene or, of odd frames, one more,
+/// which the estimate leaves out.
 fn taken_shape(frames: &Input, (rows, cols): (usize, usize)) -> (usize, usize) {
     let [_, given_rows, given_cols] = frames.shape();
     let is_taken = |given: usize, wanted: usize| given == wanted || given == wanted + 1;
@@ -336,7 +348,8 @@ fn taken(frames: &Input, calibration: &Calibration) -> Result<Images> {
     for ((k, y, x), value) in images_e.indexed_iter_mut() {
         match calibration.electrons(y, x, *value) {
             Some(electrons) => *value = electrons,
-            // Its value takes no part. One that is not finite, and that no map marks, stays so, because Images counts those.
+            // Its value takes no part. One that is not finite, and that no map marks, stays so,
+            // because Images counts those.
             None => bad[[k, y, x]] = value.is_finite() || calibration.is_bad(y, x),
         }
     }

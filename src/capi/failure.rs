@@ -44,11 +44,14 @@ pub(super) fn keep(error: &Error) -> cophase_status {
     error.status()
 }
 
-/// Sentence of the last call that failed in this thread, UTF-8; empty before the first. Calls that succeed do not change it.
+/// Sentence of the last call that failed in this thread, UTF-8; empty before the first. Calls that
+/// succeed do not change it.
 ///
-/// text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+/// text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be
+///   NULL if capacity is 0.
 ///
-/// Returns the length of the whole sentence in bytes, without the zero. Sentences are cut after 2048 bytes.
+/// Returns the length of the whole sentence in bytes, without the zero. Sentences are cut after
+/// 2048 bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_last_error(text: *mut c_char, capacity: usize) -> usize {
     LAST.with_borrow(|last| {
@@ -72,7 +75,8 @@ mod tests {
     fn a_sentence_is_cut_between_characters_and_stays_on_its_thread() {
         assert_eq!(keep(&Error::Value("é".repeat(CAPACITY))), 4);
         assert_eq!(unsafe { cophase_last_error(std::ptr::null_mut(), 0) }, CAPACITY);
-        // An odd start: the last character does not fit as a whole, and what follows it must not take its place.
+        // An odd start: the last character does not fit as a whole, and what follows it must not
+        // take its place.
         keep(&Error::Value(format!("x{}z", "é".repeat(CAPACITY / 2))));
         let mut text = [1u8; 6];
         assert_eq!(unsafe { cophase_last_error(text.as_mut_ptr().cast(), 5) }, CAPACITY - 1);

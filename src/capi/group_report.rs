@@ -8,18 +8,20 @@ use crate::modal::{GroupResult, RefinedGroup, Status};
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct cophase_group_report {
-    /// The worst status of its images, a COPHASE_IMAGE_ number; of several channels there is no joint result above
-    /// COPHASE_IMAGE_WRONG_MINIMUM.
+    /// The worst status of its images, a COPHASE_IMAGE_ number; of several channels there is no
+    /// joint result above COPHASE_IMAGE_WRONG_MINIMUM.
     pub status: i32,
-    /// 1 if the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, of
-    /// another wavefront, or in another minimum; in several wavelengths also where a piston is more than half a wavelength from the start.
+    /// 1 if the channels differ by more than their noise: one is flipped, of another wavelength or
+    /// diversity than the scene says, of another wavefront, or in another minimum; in several
+    /// wavelengths also where a piston is more than half a wavelength from the start.
     pub is_contradictory: i32,
-    /// Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN for one channel, and without a joint
-    /// result.
+    /// Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN
+    /// for one channel, and without a joint result.
     pub reduced_chi2: f64,
     /// Its degrees of freedom; 0 where the channels have no mode in common that both determine.
     pub freedom: f64,
-    /// The smallest probability of the whole wavelengths of a piston; NaN where they were not sought: in one wavelength, and in a fit.
+    /// The smallest probability of the whole wavelengths of a piston; NaN where they were not
+    /// sought: in one wavelength, and in a fit.
     pub piston_probability: f64,
     /// Duration of the fits, s; NaN of a refinement.
     pub seconds: f64,

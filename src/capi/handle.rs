@@ -1,6 +1,7 @@
 //! Objects behind opaque handles, and the fence that every call runs inside.
 //!
-//! A handle begins with a mark of its type, which is read before anything else is: a handle that was destroyed, or one of another type, is refused.
+//! A handle begins with a mark of its type, which is read before anything else is: a handle that
+//! was destroyed, or one of another type, is refused.
 
 use super::failure::keep;
 use super::status::{COPHASE_OK, cophase_status};
@@ -10,7 +11,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{RwLock, TryLockError};
 
-/// Runs the body of a call. A failure or a panic becomes its status, and its sentence is kept for this thread.
+/// Runs the body of a call. A failure or a panic becomes its status, and its sentence is kept for
+/// this thread.
 pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
     if machine::lacks_its_threads() {
         return keep(&Error::Busy(
@@ -19,7 +21,8 @@ pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
                 .into(),
         ));
     }
-    // Unwind safety: an object that a panic left half changed is poisoned, and no later call reads it.
+    // Unwind safety: an object that a panic left half changed is poisoned, and no later call reads
+    // it.
     match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => COPHASE_OK,
         Ok(Err(error)) => keep(&error),
@@ -42,7 +45,8 @@ pub(super) trait Object {
 /// What the objects are, for messages.
 const NOUNS: [&str; 6] = ["an estimator", "an estimate", "a model", "a session", "a sequence", "a simulator"];
 
-/// The object at `pointer`, the argument `name` of a call, as far as its memory still shows it: that may belong to another object by now.
+/// The object at `pointer`, the argument `name` of a call, as far as its memory still shows it:
+/// that may belong to another object by now.
 ///
 /// # Errors
 /// [`Error::Argument`] for NULL, a handle that was destroyed, and one of another type.
@@ -53,7 +57,8 @@ pub(super) unsafe fn find<'a, O: Object>(pointer: *const O, name: &str) -> Resul
     if !pointer.is_aligned() {
         return Err(given_back());
     }
-    // Volatile: the compiler may assume that the mark of a live object does not change. No reference before: an object of another type may be smaller.
+    // Volatile: the compiler may assume that the mark of a live object does not change. No
+    // reference before: an object of another type may be smaller.
     match unsafe { pointer.cast::<u64>().read_volatile() }.wrapping_sub(FIRST_MARK) {
         kind if kind == O::KIND => Ok(unsafe { &*pointer }),
         kind => Err(NOUNS.get(kind as usize).map_or_else(given_back, |noun| {
@@ -63,8 +68,9 @@ pub(super) unsafe fn find<'a, O: Object>(pointer: *const O, name: &str) -> Resul
     }
 }
 
-/// An object behind an opaque pointer. Many threads may read it, or one may change it; any other call fails at once with
-/// [`Error::Busy`] and does not wait. After a panic inside a call it can only be dropped.
+/// An object behind an opaque pointer. Many threads may read it, or one may change it; any other
+/// call fails at once with [`Error::Busy`] and does not wait. After a panic inside a call it can
+/// only be dropped.
 ///
 /// `repr(C)` puts the mark first: an allocator overwrites the beginning of freed memory first.
 #[repr(C)]
@@ -115,7 +121,8 @@ impl<T: Send, A> Handle<T, A> {
         fence(|| {
             let handle = handle?;
             handle.check_not_poisoned()?;
-            // Only a panic poisons: a call may also return COPHASE_PANIC because another object is poisoned.
+            // Only a panic poisons: a call may also return COPHASE_PANIC because another object is
+            // poisoned.
             let _poison = PoisonIfPanicking(&handle.poisoned);
             fault::fail_call()?;
             body(&handle.value)

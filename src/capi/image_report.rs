@@ -16,7 +16,8 @@ use crate::pipeline::ImageOutcome;
 pub struct cophase_image_report {
     /// COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number.
     pub status: i32,
-    /// 1 if the image was combined into the estimate, or with other channels into the result of a session, else 0.
+    /// 1 if the image was combined into the estimate, or with other channels into the result of a
+    /// session, else 0.
     pub is_used: i32,
     /// 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session.
     pub is_clipped: i32,
@@ -34,7 +35,8 @@ pub struct cophase_image_report {
     pub flux_e: f64,
     /// Background, electrons per pixel of the frame.
     pub background_e: f64,
-    /// Tilt along x of the fitted wavefront and of the shift onto the axis, nm RMS over the pupil; NaN in a MAP estimate.
+    /// Tilt along x of the fitted wavefront and of the shift onto the axis, nm RMS over the pupil;
+    /// NaN in a MAP estimate.
     pub tip_nm: f64,
     /// The same along y.
     pub tilt_nm: f64,

@@ -16,13 +16,13 @@ pub const COPHASE_I32: i32 = 4;
 /// Element type of a cophase_input: uint8_t.
 pub const COPHASE_U8: i32 = 5;
 
-/// Input array: a stack of `count` frames or maps of `rows` x `cols` elements (row = y, col = x). It is only read, and only
-/// during the call.
+/// Input array: a stack of `count` frames or maps of `rows` x `cols` elements (row = y, col = x).
+/// It is only read, and only during the call.
 ///
-/// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides may
-/// be negative, or 0 to repeat elements; the stride of an extent of 1 is ignored. C order is count_stride = rows*cols,
-/// row_stride = cols, col_stride = 1; MATLAB's column order is row_stride = 1, col_stride = rows. The layout of this struct
-/// is permanent.
+/// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of
+/// the given type. Strides may be negative, or 0 to repeat elements; the stride of an extent of 1
+/// is ignored. C order is count_stride = rows*cols, row_stride = cols, col_stride = 1; MATLAB's
+/// column order is row_stride = 1, col_stride = rows. The layout of this struct is permanent.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
@@ -45,7 +45,8 @@ pub struct cophase_input {
     pub col_stride: isize,
 }
 
-/// Input array in C order, without padding: what cophase_input has for `float frames[count][rows][cols]`.
+/// Input array in C order, without padding: what cophase_input has for
+/// `float frames[count][rows][cols]`.
 ///
 /// cophase_input frames = cophase_input_from_array(data, COPHASE_F32, 1, rows, cols);
 ///
@@ -86,14 +87,15 @@ pub(super) struct Input<'a> {
 }
 
 impl<'a> Input<'a> {
-    /// The array that the argument `name` describes. The caller's promise: memory at every element, for as long as the
-    /// call lasts.
+    /// The array that the argument `name` describes. The caller's promise: memory at every element,
+    /// for as long as the call lasts.
     pub(super) unsafe fn new(array: *const cophase_input, name: &'a str) -> Result<Self> {
         let array = unsafe { *source(array, name)? };
         Self::checked(&array, name)
     }
 
-    /// As [`Input::new`], for an array inside a struct that has been read; `None` where its data are NULL.
+    /// As [`Input::new`], for an array inside a struct that has been read; `None` where its data
+    /// are NULL.
     pub(super) unsafe fn optional(array: &cophase_input, name: &'a str) -> Result<Option<Self>> {
         if array.data.is_null() { Ok(None) } else { Self::checked(array, name).map(Some) }
     }
@@ -176,7 +178,8 @@ impl<'a> Input<'a> {
 
     fn each_of<T: Element>(&self, k: usize, mut take: impl FnMut(usize, usize, f64)) {
         let cophase_input { data, rows, cols, count_stride, row_stride, col_stride, .. } = self.array;
-        // No overflow: `check_reach` has been to the far corners. The stride of an extent of 1 is not used.
+        // No overflow: `check_reach` has been to the far corners. The stride of an extent of 1 is
+        // not used.
         let along = |index: usize, stride: isize| if index == 0 { 0 } else { index as isize * stride };
         for y in 0..rows {
             let row = along(k, count_stride) + along(y, row_stride);

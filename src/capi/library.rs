@@ -13,7 +13,8 @@ use std::sync::OnceLock;
 /// The presets as C strings, made once.
 static PRESETS: OnceLock<Result<Vec<CString>>> = OnceLock::new();
 
-/// Text of a scene that comes with the library, such as "keck-artificial", "keck-onsky" or "jwst-pair", in `*scene_text`: a static string.
+/// Text of a scene that comes with the library, such as "keck-artificial", "keck-onsky" or
+/// "jwst-pair", in `*scene_text`: a static string.
 ///
 /// COPHASE_BAD_SCENE for another name; the message lists all names.
 #[unsafe(no_mangle)]
@@ -34,13 +35,15 @@ pub unsafe extern "C" fn cophase_scene_preset(name: *const c_char, scene_text: *
 ///
 /// scene_text: scene as TOML, UTF-8, as cophase_scene_preset gives one.
 /// key: section and name, such as "image.peak_snr".
-/// value: value in TOML, such as "50" or "[4, 18]"; words and file names may do without quotes. An empty value removes the
-///   key, which then has its default.
-/// text: receives at most `capacity` bytes of the new scene, the terminating zero included, as with snprintf; may be NULL
-///   if capacity is 0. It must not overlap scene_text.
-/// length: receives the length of the whole text in bytes, without the zero: a text is whole if it is less than capacity.
+/// value: value in TOML, such as "50" or "[4, 18]"; words and file names may do without quotes. An
+///   empty value removes the key, which then has its default.
+/// text: receives at most `capacity` bytes of the new scene, the terminating zero included, as with
+///   snprintf; may be NULL if capacity is 0. It must not overlap scene_text.
+/// length: receives the length of the whole text in bytes, without the zero: a text is whole if it
+///   is less than capacity.
 ///
-/// COPHASE_BAD_SCENE for a key that does not exist or a value that it does not accept, with what is accepted.
+/// COPHASE_BAD_SCENE for a key that does not exist or a value that it does not accept, with what is
+/// accepted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_scene_set(
     scene_text: *const c_char,
@@ -74,10 +77,11 @@ fn line(info: &DeviceInfo) -> String {
     format!("{address}\t{}", description.trim_start_matches(&address).trim_start())
 }
 
-/// Devices of this machine, one a line: the text for `device` in cophase_session_options or estimate.device in a scene, a
-/// tab, and a description. The first line is always the CPU.
+/// Devices of this machine, one a line: the text for `device` in cophase_session_options or
+/// estimate.device in a scene, a tab, and a description. The first line is always the CPU.
 ///
-/// text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+/// text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be
+///   NULL if capacity is 0.
 /// length: receives the length of the whole text in bytes, without the zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_device_list(text: *mut c_char, capacity: usize, length: *mut usize) -> cophase_status {

@@ -1,8 +1,10 @@
-//! C interface, ABI version 1: handles, one fence around every call, arrays of the caller's, structs that grow.
+//! C interface, ABI version 1: handles, one fence around every call, arrays of the caller's,
+//! structs that grow.
 //!
-//! `include/cophase.h` and `include/cophase_simulator.h` are made of the files of this module by cbindgen, in the order of
-//! the templates `cophase.h.in` and `cophase_simulator.h.in` (`tests/header.rs` makes them again and compares). The comments
-//! of functions and structs are the documentation that C programmers read. `handle` holds the fence.
+//! `include/cophase.h` and `include/cophase_simulator.h` are made of the files of this module by
+//! cbindgen, in the order of the templates `cophase.h.in` and `cophase_simulator.h.in`
+//! (`tests/header.rs` makes them again and compares). The comments of functions and structs are the
+//! documentation that C programmers read. `handle` holds the fence.
 
 // The header says in prose what a caller owes, for readers who do not know Rust.
 #![allow(clippy::missing_safety_doc)]

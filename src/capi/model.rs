@@ -16,8 +16,9 @@ use std::ffi::{CString, c_char};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Model of the images of a wavefront: telescope, modes, and of each channel ([[image.channel]]) diversity and camera; a scene that lists no
-/// channels has one. Immutable: any number of threads may use it.
+/// Model of the images of a wavefront: telescope, modes, and of each channel ([[image.channel]])
+/// diversity and camera; a scene that lists no channels has one. Immutable: any number of threads
+/// may use it.
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_model(Handle<Named>);
 
@@ -32,8 +33,8 @@ struct Named {
     channels: Vec<CString>,
 }
 
-/// Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A pupil of at least twice
-/// pupil.samples is averaged onto that grid, which modes then have.
+/// Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A
+/// pupil of at least twice pupil.samples is averaged onto that grid, which modes then have.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -42,10 +43,12 @@ pub struct cophase_model_arrays {
     pub struct_size: usize,
     /// 1 x n x n: amplitude of the pupil, 0 to 1. Required.
     pub pupil: cophase_input,
-    /// 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without; negative, or 0 where they begin
-    /// at 1, outside all segments. Segments are counted by ascending label. Data NULL: not segmented.
+    /// 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without;
+    /// negative, or 0 where they begin at 1, outside all segments. Segments are counted by
+    /// ascending label. Data NULL: not segmented.
     pub segments: cophase_input,
-    /// modes x n x n: wavefront of each NCPA mode, nm per nm of its coefficient. Data NULL: the scene's modes.
+    /// modes x n x n: wavefront of each NCPA mode, nm per nm of its coefficient. Data NULL: the
+    /// scene's modes.
     pub modes: cophase_input,
     /// 1 x n x n: diversity, nm of wavefront. Data NULL: the scene's.
     pub diversity_nm: cophase_input,
@@ -68,8 +71,8 @@ pub struct cophase_model_info {
     pub cols: usize,
     /// Rows, and columns, of a wavefront map.
     pub samples: usize,
-    /// Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling; of several
-    /// channels, those of the first.
+    /// Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced
+    /// to the model's sampling; of several channels, those of the first.
     pub pixels: usize,
     /// Number of channels, which have the same modes; 1 for a scene that lists none.
     pub channels: usize,
@@ -138,18 +141,20 @@ pub(super) unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_ch
 
 /// Builds the model of a scene; about half a second for each channel at the size of Keck.
 ///
-/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
-///   takes some seconds.
+/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model
+///   is planned first, which takes some seconds.
 /// directory: directory of the files that the scene names; NULL for the working directory.
-/// arrays: telescope of the caller's instead of that of a scene with one channel; NULL for the scene's. The arrays are copied. They
-///   have the effect of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment
-///   pistons (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes
-///   says otherwise.
+/// arrays: telescope of the caller's instead of that of a scene with one channel; NULL for the
+///   scene's. The arrays are copied. They have the effect of the same maps in the files pupil.file,
+///   modes.file and image.diversity_file; the rest is the scene's. Segment pistons (modes.segment)
+///   come before the modes of the arrays, and Zernikes to Noll 21 follow them unless
+///   modes.exact_zernikes says otherwise.
 /// model: receives the handle.
 ///
-/// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and
-/// estimate.fit_optics, which only an estimator honours. COPHASE_BAD_FILE for a file of the scene. COPHASE_BAD_SHAPE,
-/// COPHASE_BAD_VALUE for arrays that do not fit one another or are no pupil or modes.
+/// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method =
+/// "full-phase" and estimate.fit_optics, which only an estimator honours. COPHASE_BAD_FILE for a
+/// file of the scene. COPHASE_BAD_SHAPE, COPHASE_BAD_VALUE for arrays that do not fit one another
+/// or are no pupil or modes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_create(
     scene_text: *const c_char,
@@ -163,7 +168,8 @@ pub unsafe extern "C" fn cophase_model_create(
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
         let fitters = if arrays.is_null() {
             let scene = Scene::from_text(scene_text, directory)?;
-            // Bad pixels are known frame by frame only: a scene for a camera that has some sets estimate.sampling.
+            // Bad pixels are known frame by frame only: a scene for a camera that has some sets
+            // estimate.sampling.
             let resolved = planner::resolve(&scene, &Control::default())?;
             ChannelFitters::new(&resolved)?
         } else {
@@ -225,7 +231,8 @@ pub unsafe extern "C" fn cophase_model_get_info(
 /// Model of one of the channels of a model, in the order of the scene.
 ///
 /// channel: number of the channel, from 0.
-/// name: receives its name, a text that lives as long as `model`, empty for a scene that lists no channels; NULL if it is not wanted.
+/// name: receives its name, a text that lives as long as `model`, empty for a scene that lists no
+///   channels; NULL if it is not wanted.
 /// channel_model: receives a handle, which the caller destroys; NULL if it is not wanted.
 ///
 /// COPHASE_BAD_VALUE for a channel that the model does not have.
@@ -250,7 +257,8 @@ pub unsafe extern "C" fn cophase_model_channel(
     }
 }
 
-/// Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model. COPHASE_BAD_VALUE for no such mode.
+/// Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model.
+/// COPHASE_BAD_VALUE for no such mode.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_mode_name(
     model: *const cophase_model,
@@ -269,7 +277,8 @@ pub unsafe extern "C" fn cophase_model_mode_name(
 
 /// Wavefront of some coefficients, nm; NaN outside the pupil.
 ///
-/// coefficients_nm: `modes` numbers. out: receives 2 x samples x samples numbers: map 0 the segments, map 1 the NCPA.
+/// coefficients_nm: `modes` numbers. out: receives 2 x samples x samples numbers: map 0 the
+///   segments, map 1 the NCPA.
 /// count: their number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_wavefront_nm(
@@ -290,8 +299,9 @@ pub unsafe extern "C" fn cophase_model_wavefront_nm(
     }
 }
 
-/// PSF of some coefficients with the diversity of a model with one channel, at the pixels that are compared. Its sum over an unbounded
-/// detector would be 1. The optical axis is on row and column pixels/2.
+/// PSF of some coefficients with the diversity of a model with one channel, at the pixels that are
+/// compared. Its sum over an unbounded detector would be 1. The optical axis is on row and column
+/// pixels/2.
 ///
 /// coefficients_nm: `modes` numbers. out: receives pixels x pixels numbers. count: their number.
 ///

@@ -1,5 +1,5 @@
-//! Pointers of a caller: checked, then read or written. The caller's promise in each: the memory is there, and no other
-//! thread uses it during the call.
+//! Pointers of a caller: checked, then read or written. The caller's promise in each: the memory is
+//! there, and no other thread uses it during the call.
 
 use crate::{Error, Result};
 use std::ffi::{CStr, c_char};
@@ -57,7 +57,8 @@ pub(super) unsafe fn put_array(
     Ok(())
 }
 
-/// Writes `text` as snprintf does: at most `capacity` bytes with the terminating zero, and its whole length to `length`.
+/// Writes `text` as snprintf does: at most `capacity` bytes with the terminating zero, and its
+/// whole length to `length`.
 pub(super) unsafe fn put_text(out: *mut c_char, capacity: usize, length: *mut usize, text: &str) -> Result<()> {
     if out.is_null() && capacity > 0 {
         return Err(Error::Argument(format!("text is NULL: memory for the capacity of {capacity} bytes is accepted")));

@@ -9,8 +9,9 @@ use super::status::cophase_status;
 use crate::Result;
 use crate::modal::{Accumulator, RunningEstimate};
 
-/// Sequence: the last images that sessions of a model fitted, and their running estimate. Calls that take it as const may
-/// run in several threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
+/// Sequence: the last images that sessions of a model fitted, and their running estimate. Calls
+/// that take it as const may run in several threads at once, any other only while no other call
+/// runs (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_sequence(Handle<Accumulator>);
 
@@ -66,8 +67,8 @@ unsafe fn change(sequence: *mut cophase_sequence, body: impl FnOnce(&mut Accumul
     Handle::change(unsafe { find(sequence, "sequence") }.map(|sequence| &sequence.0), body)
 }
 
-/// Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
-/// call. sequence: receives the handle.
+/// Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which
+/// need not outlive this call. sequence: receives the handle.
 ///
 /// COPHASE_BAD_VALUE for a model of several channels.
 #[unsafe(no_mangle)]
@@ -90,10 +91,11 @@ pub unsafe extern "C" fn cophase_sequence_destroy(sequence: *mut cophase_sequenc
     unsafe { give_back(sequence) }
 }
 
-/// Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops
-/// all images. [RT]
+/// Adds all images of a session's last fit, of any status; the oldest are dropped beyond the
+/// capacity. session NULL: drops all images. [RT]
 ///
-/// COPHASE_BAD_VALUE for a session of another model, or of several channels. COPHASE_BUSY while the session is in use.
+/// COPHASE_BAD_VALUE for a session of another model, or of several channels. COPHASE_BUSY while the
+/// session is in use.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_push(
     sequence: *mut cophase_sequence,
@@ -110,11 +112,12 @@ pub unsafe extern "C" fn cophase_sequence_push(
     }
 }
 
-/// The estimate from the images so far: their mean, clipped mean or median, as the scene says (estimate.combine). From eight
-/// images on, outliers are found by comparing images, and error bars are from the scatter between them.
+/// The estimate from the images so far: their mean, clipped mean or median, as the scene says
+/// (estimate.combine). From eight images on, outliers are found by comparing images, and error bars
+/// are from the scatter between them.
 ///
-/// coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives
-///   modes x modes numbers. Each may be NULL.
+/// coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations.
+///   covariance_nm2: receives modes x modes numbers. Each may be NULL.
 /// modes: the model's number of modes.
 /// report: NULL if it is not wanted. report_size: sizeof(cophase_sequence_report).
 ///
@@ -152,10 +155,11 @@ pub unsafe extern "C" fn cophase_sequence_estimate(
     }
 }
 
-/// Number of further images like those so far that bring both error bars (nm RMS over the pupil) down to the given ones, in
-/// `*images`; 0 if they are. Infinity accepts any error bar.
+/// Number of further images like those so far that bring both error bars (nm RMS over the pupil)
+/// down to the given ones, in `*images`; 0 if they are. Infinity accepts any error bar.
 ///
-/// COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no image was fitted.
+/// COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no
+/// image was fitted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_images_needed(
     sequence: *const cophase_sequence,

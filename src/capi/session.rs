@@ -18,14 +18,16 @@ use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::ffi::c_char;
 
-/// Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
-/// COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
-/// with any other frames in the call.
+/// Session: fits of images with a model, in memory that is allocated when it is created. It follows
+/// the policy COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are
+/// rejected in the fit. The same frame gives the same bits, with any other frames in the call.
 ///
-/// A group is what sees one wavefront: one frame of each channel of the model, which is one image of a model with one channel. Each
-/// channel is fitted by itself, and the fits of several channels are combined: the modes that they have in common.
+/// A group is what sees one wavefront: one frame of each channel of the model, which is one image
+/// of a model with one channel. Each channel is fitted by itself, and the fits of several channels
+/// are combined: the modes that they have in common.
 ///
-/// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
+/// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may
+/// call at any time.
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_session(Handle<Working, Control>);
 
@@ -92,7 +94,8 @@ impl Working {
     }
 }
 
-/// The calibration of frames of a model before any is set: electrons, or counts where the scene has a gain.
+/// The calibration of frames of a model before any is set: electrons, or counts where the scene has
+/// a gain.
 fn electrons_of(estimator: &ModalFitter) -> Result<Calibration> {
     let [x, y] = estimator.model().preparation.frame;
     let gain = estimator.scene().image.gain_e_per_adu.unwrap_or(1.0);
@@ -138,9 +141,9 @@ pub(super) unsafe fn look<R>(session: *const cophase_session, body: impl FnOnce(
 ///
 /// options: NULL for the defaults. session: receives the handle.
 ///
-/// COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option out of range, and for a
-/// scene with estimate.optimizer = "bfgs". COPHASE_BAD_SCENE for several channels of which one is in focus, which an estimator
-/// takes.
+/// COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option
+/// out of range, and for a scene with estimate.optimizer = "bfgs". COPHASE_BAD_SCENE for several
+/// channels of which one is in focus, which an estimator takes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_create(
     model: *const cophase_model,
@@ -165,11 +168,13 @@ pub unsafe extern "C" fn cophase_session_destroy(session: *mut cophase_session) 
     unsafe { give_back(session) }
 }
 
-/// Sets the calibration of later frames of a channel; the maps are copied. channel: its number in the model, from 0. calibration: NULL
-/// where frames are electrons, or counts where the scene has image.gain_e_per_adu, as before the first call.
+/// Sets the calibration of later frames of a channel; the maps are copied. channel: its number in
+/// the model, from 0. calibration: NULL where frames are electrons, or counts where the scene has
+/// image.gain_e_per_adu, as before the first call.
 ///
-/// COPHASE_BAD_VALUE for a channel that the model does not have, and for bad pixels if the model reduces the sampling of frames, which
-/// would smear them: such a camera needs estimate.sampling = "native" in its scene.
+/// COPHASE_BAD_VALUE for a channel that the model does not have, and for bad pixels if the model
+/// reduces the sampling of frames, which would smear them: such a camera needs estimate.sampling =
+/// "native" in its scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_calibrate(
     session: *mut cophase_session,
@@ -185,8 +190,8 @@ pub unsafe extern "C" fn cophase_session_calibrate(
     }
 }
 
-/// Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one evaluation.
-/// A signal handler may call it. [RT]
+/// Makes the fit that is running in another thread, or else the next one, return
+/// COPHASE_INTERRUPTED within one evaluation. A signal handler may call it. [RT]
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session) -> cophase_status {
     match unsafe { find(session, "session") } {
@@ -198,25 +203,30 @@ pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session)
     }
 }
 
-/// Fits the model to frames, one channel after the other, and combines the fits of several channels. [RT]
+/// Fits the model to frames, one channel after the other, and combines the fits of several
+/// channels. [RT]
 ///
-/// frames: an array for each channel, in the order of the model, each count x rows x cols of its channel, count up to the session's
-///   capacity: frames k of all channels are group k. Values that are not finite are bad pixels. The optical axis is on row rows/2 and
-///   column cols/2.
+/// frames: an array for each channel, in the order of the model, each count x rows x cols of its
+///   channel, count up to the session's capacity: frames k of all channels are group k. Values that
+///   are not finite are bad pixels. The optical axis is on row rows/2 and column cols/2.
 /// channels: number of channels of the model.
 /// options: NULL for the defaults. The deadline holds for all frames together.
-/// coefficients_nm: receives count x modes numbers in C order: of one channel those of each image, NaN for an unusable one; of several
-///   the modes that they have in common, NaN unless the fits of all channels of the group converged.
-/// sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels; NULL if they are not wanted. The channels
-///   are weighed, and error bars are, as at a flat wavefront with the flux and the noise of the frames, scaled by chi-square where a model
-///   misfits or the channels contradict each other. NaN for one channel, whose covariance cophase_session_refine has.
+/// coefficients_nm: receives count x modes numbers in C order: of one channel those of each image,
+///   NaN for an unusable one; of several the modes that they have in common, NaN unless the fits of
+///   all channels of the group converged.
+/// sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels;
+///   NULL if they are not wanted. The channels are weighed, and error bars are, as at a flat
+///   wavefront with the flux and the noise of the frames, scaled by chi-square where a model
+///   misfits or the channels contradict each other. NaN for one channel, whose covariance
+///   cophase_session_refine has.
 /// modes: the model's number of modes.
-/// images: receives count x channels reports in C order, of image_size bytes each; NULL if they are not wanted. image_size:
-///   sizeof(cophase_image_report).
-/// groups: receives count reports of group_size bytes each; NULL if they are not wanted. group_size: sizeof(cophase_group_report).
+/// images: receives count x channels reports in C order, of image_size bytes each; NULL if they are
+///   not wanted. image_size: sizeof(cophase_image_report).
+/// groups: receives count reports of group_size bytes each; NULL if they are not wanted.
+///   group_size: sizeof(cophase_group_report).
 ///
-/// The call succeeds where single images fail: their status is in their reports. COPHASE_INTERRUPTED after
-/// cophase_session_cancel; nothing is written then.
+/// The call succeeds where single images fail: their status is in their reports.
+/// COPHASE_INTERRUPTED after cophase_session_cancel; nothing is written then.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_fit(
     session: *mut cophase_session,
@@ -262,16 +272,20 @@ pub unsafe extern "C" fn cophase_session_fit(
     }
 }
 
-/// Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF + background - data)^2 over the
-/// pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
+/// Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF +
+/// background - data)^2 over the pixels of each image, with the flux and background that minimize
+/// it and the weights that a fit begins with. [RT]
 ///
 /// channel: number of the channel in the model, from 0, whose images they are.
-/// frames: count x rows x cols of the channel; NULL for those of its last evaluation, if no fit came since.
-/// options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the defaults.
+/// frames: count x rows x cols of the channel; NULL for those of its last evaluation, if no fit
+///   came since.
+/// options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the
+///   defaults.
 /// coefficients_nm: count x modes numbers in C order. count: number of frames.
 /// objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
 ///
-/// COPHASE_BAD_IMAGE for a frame that cannot be used. COPHASE_BAD_VALUE if frames is NULL and none are loaded.
+/// COPHASE_BAD_IMAGE for a frame that cannot be used. COPHASE_BAD_VALUE if frames is NULL and none
+/// are loaded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_evaluate(
     session: *mut cophase_session,
@@ -308,17 +322,19 @@ pub unsafe extern "C" fn cophase_session_evaluate(
     }
 }
 
-/// The result of a group of the last fit with its covariance, in some hundred evaluations of each channel: of one channel that of the
-/// noise, scaled by chi-square where the model misfits. The fits of several channels are combined by their information at the fitted
-/// wavefronts, and the whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate finds in
-/// these frames by the policy COPHASE_POLICY_REALTIME.
+/// The result of a group of the last fit with its covariance, in some hundred evaluations of each
+/// channel: of one channel that of the noise, scaled by chi-square where the model misfits. The
+/// fits of several channels are combined by their information at the fitted wavefronts, and the
+/// whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate
+/// finds in these frames by the policy COPHASE_POLICY_REALTIME.
 ///
 /// group: number of the group in the last fit, from 0.
-/// coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each may be NULL. modes: the model's
-///   number of modes.
+/// coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each
+///   may be NULL. modes: the model's number of modes.
 /// report: NULL if it is not wanted. report_size: sizeof(cophase_group_report).
 ///
-/// COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels converged.
+/// COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels
+/// converged.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_refine(
     session: *const cophase_session,
@@ -353,9 +369,10 @@ pub unsafe extern "C" fn cophase_session_refine(
 
 /// Writes a text of a session.
 ///
-/// what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, with that of channels that contradict each other in the last fit,
-///   COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the last fit, group * channels + channel; ignored for the other
-///   texts. text, capacity, length: as in cophase_device_list.
+/// what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, with that of channels that contradict
+///   each other in the last fit, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the
+///   last fit, group * channels + channel; ignored for the other texts. text, capacity, length: as
+///   in cophase_device_list.
 ///
 /// COPHASE_BAD_VALUE for an image that was not in the last fit.
 #[unsafe(no_mangle)]

@@ -20,18 +20,19 @@ pub struct cophase_session_options {
     pub struct_size: usize,
     /// Largest number of groups of a call, which are images of a model with one channel; 0 means 1.
     pub capacity: usize,
-    /// Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for the scene's
-    /// estimate.device. [RT] calls need "cpu".
+    /// Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for
+    /// the scene's estimate.device. [RT] calls need "cpu".
     pub device: *const c_char,
-    /// COPHASE_F64 or COPHASE_F32 (half the memory, a third to half of the time, errors of 0.02 nm); 0 for the scene's
-    /// estimate.precision.
+    /// COPHASE_F64 or COPHASE_F32 (half the memory, a third to half of the time, errors of 0.02
+    /// nm); 0 for the scene's estimate.precision.
     pub precision: i32,
-    /// Threads of the CPU chain: 0 or 1 for the caller's own, which [RT] calls need; -1 for one per processor.
+    /// Threads of the CPU chain: 0 or 1 for the caller's own, which [RT] calls need; -1 for one per
+    /// processor.
     pub threads: i32,
     /// Largest number of evaluations for one image; 0 for the scene's.
     pub max_evaluations: usize,
-    /// A fit stops where neither a coefficient nor the RMS of the wavefront would change by more than this, nm; 0 for the
-    /// scene's.
+    /// A fit stops where neither a coefficient nor the RMS of the wavefront would change by more
+    /// than this, nm; 0 for the scene's.
     pub step_tolerance_nm: f64,
 }
 
@@ -44,13 +45,16 @@ unsafe impl Options for cophase_session_options {}
 pub struct cophase_fit_options {
     /// sizeof(cophase_fit_options).
     pub struct_size: usize,
-    /// Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0 for no limit.
+    /// Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0
+    /// for no limit.
     pub deadline_s: f64,
     /// Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1.
     pub read_noise_e: f64,
-    /// Starts of the fits, nm: count x modes in C order, each that of all channels of a group. NULL for a flat wavefront.
+    /// Starts of the fits, nm: count x modes in C order, each that of all channels of a group. NULL
+    /// for a flat wavefront.
     pub start_nm: *const f64,
-    /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's.
+    /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
+    ///   scene's.
     pub has_read_noise: i64,
 }
 

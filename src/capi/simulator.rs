@@ -12,25 +12,27 @@ use crate::scene::Scene;
 use crate::{Error, Result};
 use std::ffi::c_char;
 
-/// Array of a simulator: slopes that were measured in the last frame, mas, along x for every subaperture, then along y;
-/// slopes.
+/// Array of a simulator: slopes that were measured in the last frame, mas, along x for every
+/// subaperture, then along y; slopes.
 pub const COPHASE_ARRAY_SLOPES_MAS: i32 = 101;
-/// Array of a simulator: commands that were on the mirror in the last frame, nm of wavefront; actuators.
+/// Array of a simulator: commands that were on the mirror in the last frame, nm of wavefront;
+/// actuators.
 pub const COPHASE_ARRAY_COMMANDS_NM: i32 = 102;
-/// Array of a simulator: residual wavefront of the last frame, nm: turbulence and segment errors minus the mirror's surface,
-/// NaN where the pupil has no light; residual_samples x residual_samples.
+/// Array of a simulator: residual wavefront of the last frame, nm: turbulence and segment errors
+/// minus the mirror's surface, NaN where the pupil has no light; residual_samples x
+/// residual_samples.
 pub const COPHASE_ARRAY_RESIDUAL_NM: i32 = 103;
-/// Array of a simulator: the camera's defocused image of the last frame, electrons: residual wavefront frozen, NCPA and
-/// diversity, with the noise that the scene names; rows x cols. The same frame always gives the same image. The optical
-/// axis is on row rows/2 and column cols/2.
+/// Array of a simulator: the camera's defocused image of the last frame, electrons: residual
+/// wavefront frozen, NCPA and diversity, with the noise that the scene names; rows x cols. The same
+/// frame always gives the same image. The optical axis is on row rows/2 and column cols/2.
 pub const COPHASE_ARRAY_IMAGE_E: i32 = 104;
-/// Array of a simulator: true static aberrations, nm, NaN outside the pupil: map 0 the phasing errors of the segments, map 1
-/// the NCPA; 2 x truth_samples x truth_samples.
+/// Array of a simulator: true static aberrations, nm, NaN outside the pupil: map 0 the phasing
+/// errors of the segments, map 1 the NCPA; 2 x truth_samples x truth_samples.
 pub const COPHASE_ARRAY_TRUTH_NM: i32 = 105;
 
-/// Simulator of an AO system: turbulence, wavefront sensor, deformable mirror, control, science camera. The same scene gives
-/// the same bits. Calls that take it as const may run in several threads at once, any other only while no other call runs
-/// (COPHASE_BUSY otherwise).
+/// Simulator of an AO system: turbulence, wavefront sensor, deformable mirror, control, science
+/// camera. The same scene gives the same bits. Calls that take it as const may run in several
+/// threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_simulator(Handle<Stepper>);
 
@@ -61,7 +63,8 @@ pub struct cophase_simulator_info {
     pub frame_s: f64,
     /// Time at which the loop diverged, s since it was closed; NaN while it has not.
     pub divergence_s: f64,
-    /// RMS over the pupil of the residual wavefront of the last frame, piston removed, nm; NaN before the first.
+    /// RMS over the pupil of the residual wavefront of the last frame, piston removed, nm; NaN
+    /// before the first.
     pub residual_rms_nm: f64,
 }
 
@@ -77,10 +80,11 @@ unsafe fn change(simulator: *mut cophase_simulator, body: impl FnOnce(&mut Stepp
 
 /// Builds the AO system of a scene, before its first frame; about a second at the size of Keck.
 ///
-/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. directory: directory of the files that the scene names; NULL
-/// for the working directory. simulator: receives the handle.
+/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. directory: directory of the files
+/// that the scene names; NULL for the working directory. simulator: receives the handle.
 ///
-/// COPHASE_BAD_SCENE with line, key, value and what is accepted. COPHASE_BAD_FILE for a file of the scene.
+/// COPHASE_BAD_SCENE with line, key, value and what is accepted. COPHASE_BAD_FILE for a file of the
+/// scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_create(
     scene_text: *const c_char,
@@ -104,7 +108,8 @@ pub unsafe extern "C" fn cophase_simulator_destroy(simulator: *mut cophase_simul
     unsafe { give_back(simulator) }
 }
 
-/// Advances the loop by a number of frames, in this thread. A loop that diverges goes on; see divergence_s.
+/// Advances the loop by a number of frames, in this thread. A loop that diverges goes on; see
+/// divergence_s.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_step(simulator: *mut cophase_simulator, frames: u64) -> cophase_status {
     unsafe { change(simulator, |stepper| stepper.step(frames)) }
@@ -145,10 +150,11 @@ fn state(stepper: &Stepper) -> cophase_simulator_info {
 
 /// Writes an array of a simulator in C order.
 ///
-/// what: COPHASE_ARRAY_SLOPES_MAS to COPHASE_ARRAY_TRUTH_NM, which say shape and unit. out: receives `count` numbers.
+/// what: COPHASE_ARRAY_SLOPES_MAS to COPHASE_ARRAY_TRUTH_NM, which say shape and unit. out:
+///   receives `count` numbers.
 ///
-/// COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one. COPHASE_BAD_VALUE before the first
-/// frame.
+/// COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one.
+/// COPHASE_BAD_VALUE before the first frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_array(
     simulator: *mut cophase_simulator,
@@ -187,7 +193,8 @@ pub unsafe extern "C" fn cophase_simulator_array(
 
 /// Writes a text of a simulator.
 ///
-/// what: COPHASE_TEXT_WARNINGS: a sentence where the images have errors because the simulator's grid is too coarse for them.
+/// what: COPHASE_TEXT_WARNINGS: a sentence where the images have errors because the simulator's
+///   grid is too coarse for them.
 /// text, capacity, length: as in cophase_device_list.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_text(

@@ -1,4 +1,5 @@
-//! Structs that grow: fields are only appended, and the caller says how large the struct is that it was compiled with.
+//! Structs that grow: fields are only appended, and the caller says how large the struct is that it
+//! was compiled with.
 
 use super::pointer::{place, source};
 use crate::{Error, Result};
@@ -6,7 +7,8 @@ use crate::{Error, Result};
 /// Options, in which zero means the default in every field but the first.
 ///
 /// # Safety
-/// `repr(C)`, `struct_size: usize` first, and any bytes are a value: integers, floats and raw pointers only.
+/// `repr(C)`, `struct_size: usize` first, and any bytes are a value: integers, floats and raw
+/// pointers only.
 pub(super) unsafe trait Options: Copy {}
 
 /// The size of a struct is a multiple of its alignment, which is that of a `size_t` and a `double`.
@@ -18,8 +20,8 @@ fn is_possible(size: usize) -> bool {
     (STEP..=LARGEST).contains(&size) && size.is_multiple_of(STEP)
 }
 
-/// Options of a caller; the defaults for NULL, and for fields that its struct does not have. The caller's promise:
-/// `struct_size` bytes.
+/// Options of a caller; the defaults for NULL, and for fields that its struct does not have. The
+/// caller's promise: `struct_size` bytes.
 pub(super) unsafe fn read<T: Options>(options: *const T, name: &str) -> Result<T> {
     // SAFETY: any bytes are a value of it.
     let mut read = unsafe { std::mem::zeroed::<T>() };
@@ -33,7 +35,8 @@ pub(super) unsafe fn read<T: Options>(options: *const T, name: &str) -> Result<T
     }
     let known = size.min(size_of::<T>());
     for byte in known..size {
-        // A field of a later version that is not zero asks for something that this one would silently not do.
+        // A field of a later version that is not zero asks for something that this one would
+        // silently not do.
         if unsafe { *place.add(byte) } != 0 {
             return Err(Error::Argument(format!(
                 "{name}->struct_size is {size} and byte {byte} is not 0: this library, cophase {}, knows {known} bytes",
@@ -52,7 +55,8 @@ pub(super) struct Outputs<T> {
 }
 
 impl<T: Copy> Outputs<T> {
-    /// `first` may be NULL where no result is wanted. The caller's promise: memory for all that will be written.
+    /// `first` may be NULL where no result is wanted. The caller's promise: memory for all that
+    /// will be written.
     pub(super) fn new(first: *mut T, size: usize, (name, size_name): (&str, &str)) -> Result<Self> {
         if !first.is_null() {
             place(first, name)?;
@@ -63,7 +67,8 @@ impl<T: Copy> Outputs<T> {
         Ok(Self { first, size })
     }
 
-    /// Writes result `index`: no more than the caller's struct holds, and zeros where it holds more.
+    /// Writes result `index`: no more than the caller's struct holds, and zeros where it holds
+    /// more.
     pub(super) unsafe fn put(&self, index: usize, result: &T) {
         if self.first.is_null() {
             return;
@@ -99,7 +104,8 @@ mod tests {
     #[test]
     fn older_and_newer_callers_are_served() {
         let guard = 0xa5a5_a5a5_a5a5_a5a5u64;
-        // A caller whose struct ends after the first field: the bytes behind it are not its struct's.
+        // A caller whose struct ends after the first field: the bytes behind it are not its
+        // struct's.
         let older = read_back(&[16, 1.5f64.to_bits(), guard, guard]).unwrap();
         assert_eq!(older, Example { struct_size: 16, first: 1.5, second: 0, third: 0 });
         let same = read_back(&[24, 1.5f64.to_bits(), 3 << 32 | 2, guard]).unwrap();

@@ -3,7 +3,8 @@
 use crate::Error;
 use std::ffi::{CStr, c_char};
 
-/// Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have more.
+/// Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have
+/// more.
 #[allow(non_camel_case_types)] // a name of the header
 pub type cophase_status = i32;
 
@@ -29,7 +30,8 @@ pub const COPHASE_INTERNAL: i32 = 8;
 pub const COPHASE_BAD_ARGUMENT: i32 = 9;
 /// Object in use by another thread; nothing was done.
 pub const COPHASE_BUSY: i32 = 10;
-/// Panic inside the library, in this call or an earlier one on this object, which can only be destroyed. Please report it.
+/// Panic inside the library, in this call or an earlier one on this object, which can only be
+/// destroyed. Please report it.
 pub const COPHASE_PANIC: i32 = 11;
 
 /// Image status: fitted, and the model explains the image.
@@ -45,8 +47,8 @@ pub const COPHASE_IMAGE_UNUSABLE: i32 = 104;
 /// Image status: the deadline passed; its coefficients are the best so far.
 pub const COPHASE_IMAGE_DEADLINE: i32 = 105;
 
-/// Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`, `MISFIT`, ...; `UNKNOWN`
-/// for a number of a later version. A static string, never NULL.
+/// Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`,
+/// `MISFIT`, ...; `UNKNOWN` for a number of a later version. A static string, never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn cophase_status_name(status: i32) -> *const c_char {
     let name: &CStr = match status {

@@ -4,7 +4,8 @@ use crate::{Error, Result};
 
 /// Text of an estimate: its report, as the program prints it.
 pub const COPHASE_TEXT_REPORT: i32 = 1;
-/// Text of an estimate, a session or a simulator: what to know before using the numbers, one sentence a line; empty without warnings.
+/// Text of an estimate, a session or a simulator: what to know before using the numbers, one
+/// sentence a line; empty without warnings.
 pub const COPHASE_TEXT_WARNINGS: i32 = 2;
 /// Text of an estimate: remarks that hold for every image of the scene, one sentence a line.
 pub const COPHASE_TEXT_REMARKS: i32 = 3;
@@ -14,7 +15,8 @@ pub const COPHASE_TEXT_DEVICE: i32 = 4;
 pub const COPHASE_TEXT_POLICY: i32 = 5;
 /// Text of an estimate: the modes that were added to the scene's.
 pub const COPHASE_TEXT_MODEL: i32 = 6;
-/// Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics that were fitted.
+/// Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics
+/// that were fitted.
 pub const COPHASE_TEXT_SCENE: i32 = 7;
 /// Text of an estimate or a session: why image `index` has its status, a sentence.
 pub const COPHASE_TEXT_IMAGE_MESSAGE: i32 = 8;
@@ -25,17 +27,20 @@ pub const COPHASE_TEXT_ERROR_TERM_NAME: i32 = 10;
 /// Text of an estimate: name of channel `index`.
 pub const COPHASE_TEXT_CHANNEL_NAME: i32 = 11;
 
-/// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the segments.
+/// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of
+/// command `index` to the segments.
 pub const COPHASE_TEXT_SEGMENT_COMMAND_NAME: i32 = 12;
-/// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the mirror.
+/// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of
+/// command `index` to the mirror.
 pub const COPHASE_TEXT_ACTUATOR_COMMAND_NAME: i32 = 13;
 
-/// Text of an estimate, after cophase_estimate_correct: why piston `index`, then tip, then tilt of the segments is held: deadband, no-benefit
-/// or never-corrected; empty for one that moves.
+/// Text of an estimate, after cophase_estimate_correct: why piston `index`, then tip, then tilt of
+/// the segments is held: deadband, no-benefit or never-corrected; empty for one that moves.
 pub const COPHASE_TEXT_SEGMENT_HELD: i32 = 14;
 /// Text of an estimate, after cophase_estimate_correct: the same of NCPA mode `index`.
 pub const COPHASE_TEXT_NCPA_HELD: i32 = 15;
-/// Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one sentence a line.
+/// Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one
+/// sentence a line.
 pub const COPHASE_TEXT_CORRECTION_WARNINGS: i32 = 16;
 
 /// Element `index`.

@@ -2,7 +2,8 @@
 
 use std::ffi::{CStr, c_char};
 
-/// Version of the C interface. It changes only where a program built against an older header could break.
+/// Version of the C interface. It changes only where a program built against an older header could
+/// break.
 pub const COPHASE_ABI_VERSION: u32 = 1;
 
 const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
@@ -16,7 +17,8 @@ pub extern "C" fn cophase_version() -> *const c_char {
     VERSION.as_ptr()
 }
 
-/// Version of the C interface of the library that is loaded; must be COPHASE_ABI_VERSION of the header.
+/// Version of the C interface of the library that is loaded; must be COPHASE_ABI_VERSION of the
+/// header.
 #[unsafe(no_mangle)]
 pub extern "C" fn cophase_abi_version() -> u32 {
     COPHASE_ABI_VERSION

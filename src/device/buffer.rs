@@ -57,8 +57,9 @@ impl<T: Element> Buffer<T> {
         Ok(Buffer { context: context.clone(), mem, len, own_bytes: bytes, marker: PhantomData })
     }
 
-    /// `count` elements (at least one) from `from` on as a buffer, which shares their memory and keeps it. Precondition: they
-    /// begin at a multiple of [`Device::part_alignment_bytes`](super::session::Device::part_alignment_bytes).
+    /// `count` elements (at least one) from `from` on as a buffer, which shares their memory and
+    /// keeps it. Precondition: they begin at a multiple of
+    /// [`Device::part_alignment_bytes`](super::session::Device::part_alignment_bytes).
     ///
     /// # Errors
     /// As for [`Buffer::write`].
@@ -82,7 +83,8 @@ impl<T: Element> Buffer<T> {
         Ok(())
     }
 
-    /// Checks a copy of `count` elements from `offset` on, and counts its command; `false` where there is nothing to copy.
+    /// Checks a copy of `count` elements from `offset` on, and counts its command; `false` where
+    /// there is nothing to copy.
     fn begin_copy(&self, offset: usize, count: usize) -> Result<bool> {
         self.check(offset, count)?;
         if count > 0 {

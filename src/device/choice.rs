@@ -20,7 +20,8 @@ pub enum Choice {
     OpenCl,
     /// Device `D` of platform `P`.
     OpenClAt(usize, usize),
-    /// All GPUs, or all OpenCL devices where there is no GPU, for images that are shared among them.
+    /// All GPUs, or all OpenCL devices where there is no GPU, for images that are shared among
+    /// them.
     All,
 }
 
@@ -49,7 +50,8 @@ impl Choice {
     /// The OpenCL device that this choice selects on this machine; `None` is the CPU chain.
     ///
     /// # Errors
-    /// [`Error::Device`] where an OpenCL device is required and there is no such device; [`Error::Value`] for `all`.
+    /// [`Error::Device`] where an OpenCL device is required and there is no such device;
+    /// [`Error::Value`] for `all`.
     pub fn resolve(self) -> Result<Option<DeviceInfo>> {
         match self {
             Choice::Cpu => Ok(None),

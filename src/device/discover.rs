@@ -9,11 +9,12 @@ use super::info::{DeviceInfo, DeviceKind};
 use super::probe;
 use crate::{Error, Result};
 
-/// Status of an ICD loader, and of our replacement for it (`loader.c`), where no platform is installed.
+/// Status of an ICD loader, and of our replacement for it (`loader.c`), where no platform is
+/// installed.
 const PLATFORM_NOT_FOUND: i32 = -1001;
 
-/// Locked while the platforms are listed and described. The first call makes PoCL initialise its devices; with PoCL 3.1 a
-/// second thread that calls during this initialisation crashes.
+/// Locked while the platforms are listed and described. The first call makes PoCL initialise its
+/// devices; with PoCL 3.1 a second thread that calls during this initialisation crashes.
 static DISCOVERY: Mutex<()> = Mutex::new(());
 
 fn lock_discovery() -> MutexGuard<'static, ()> {
@@ -23,13 +24,15 @@ fn lock_discovery() -> MutexGuard<'static, ()> {
 /// Every OpenCL device of this machine, platform by platform; empty where OpenCL is absent.
 ///
 /// # Errors
-/// [`Error::Device`] where OpenCL is present but its calls fail, or where a driver aborts or hangs when it is loaded.
+/// [`Error::Device`] where OpenCL is present but its calls fail, or where a driver aborts or hangs
+/// when it is loaded.
 pub fn devices() -> Result<Vec<DeviceInfo>> {
     let _lock = lock_discovery();
     let mut found = Vec::new();
     for (platform_index, platform) in platforms()?.into_iter().enumerate() {
         let platform_name = core::get_platform_info(platform, PlatformInfo::Name).map_err(failed)?.to_string();
-        // A platform without an available device returns an error: it counts as a platform of zero devices.
+        // A platform without an available device returns an error: it counts as a platform of zero
+        // devices.
         let ids = core::get_device_ids(platform, Some(core::DeviceType::ALL), None).unwrap_or_default();
         for (device_index, id) in ids.into_iter().enumerate() {
             found.push(describe(id, platform_index, device_index, &platform_name)?);
@@ -53,7 +56,8 @@ pub(super) fn resolve(info: &DeviceInfo) -> Result<(core::PlatformId, core::Devi
     Ok((platform, *ids.get(info.device).ok_or_else(gone)?))
 }
 
-/// All platforms. `ocl` waits ten seconds and then fails or panics where there is none, so the count is queried first.
+/// All platforms. `ocl` waits ten seconds and then fails or panics where there is none, so the
+/// count is queried first.
 fn platforms() -> Result<Vec<core::PlatformId>> {
     if let Some(refusal) = probe::refusal() {
         return Err(Error::Device(refusal.into()));
@@ -115,8 +119,9 @@ fn raw<D: ClDeviceIdPtr>(id: D, what: u32) -> Result<Vec<u8>> {
     core::get_device_info_raw(id, what).map_err(failed)
 }
 
-/// An error of `ocl` as [`Error::Device`], in one line. Of an OpenCL call these are the function and the status, which `ocl` writes between
-/// banners; of anything else it is the first line with words.
+/// An error of `ocl` as [`Error::Device`], in one line. Of an OpenCL call these are the function
+/// and the status, which `ocl` writes between banners; of anything else it is the first line with
+/// words.
 pub(super) fn failed(error: impl std::fmt::Display) -> Error {
     let text = error.to_string();
     let after = |label: &str| text.lines().find_map(|line| line.trim().strip_prefix(label)).map(str::trim);

@@ -1,4 +1,5 @@
-//! OpenCL drivers that are installed here: the `.icd` files that the loader reads, and the libraries that they name.
+//! OpenCL drivers that are installed here: the `.icd` files that the loader reads, and the
+//! libraries that they name.
 
 use std::ffi::{CStr, CString, OsString};
 use std::fmt::Write;
@@ -37,11 +38,12 @@ fn installed() -> Vec<Driver> {
     files.into_iter().filter_map(read).collect()
 }
 
-/// What the outcome of a probe depends on: the version of this library, the start of the machine, the variables, and path,
-/// size and time of each driver's files.
+/// What the outcome of a probe depends on: the version of this library, the start of the machine,
+/// the variables, and path, size and time of each driver's files.
 pub(super) fn fingerprint() -> String {
     let mut text = format!("cophase {}\n", env!("CARGO_PKG_VERSION"));
-    // A driver's part in the kernel may be another after a start; without the file, time alone decides.
+    // A driver's part in the kernel may be another after a start; without the file, time alone
+    // decides.
     let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     // Writing into memory does not fail.
     let _ = writeln!(text, "boot {}", boot.trim());
@@ -80,14 +82,15 @@ pub(super) fn listed() -> String {
     if all.is_empty() { "no driver".into() } else { all.join(", ") }
 }
 
-/// Whether a driver or the loader is part of this process already: a host, such as a GPU library of Python's, has it.
+/// Whether a driver or the loader is part of this process already: a host, such as a GPU library of
+/// Python's, has it.
 pub(super) fn are_loaded() -> bool {
     let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
     ["libOpenCL", "libcuda.so", "nvidia-opencl", "libamdocl"].iter().any(|library| maps.contains(library))
 }
 
-/// Why the drivers that are installed give no device, one reason each; `None` where none is installed. The drivers must
-/// have been loaded before, as the loader does.
+/// Why the drivers that are installed give no device, one reason each; `None` where none is
+/// installed. The drivers must have been loaded before, as the loader does.
 pub(super) fn why_no_device() -> Option<String> {
     if let Some(library) = chosen_library() {
         let error = load_error(&library).unwrap_or_else(|| "it is loaded and lists no device".into());
@@ -112,7 +115,8 @@ pub(super) fn why_no_device() -> Option<String> {
 /// Why a library cannot be loaded.
 fn load_error(library: &str) -> Option<String> {
     let name = CString::new(library).ok()?;
-    // SAFETY: a NUL-terminated name; the text of dlerror is copied before another call of this thread.
+    // SAFETY: a NUL-terminated name; the text of dlerror is copied before another call of this
+    // thread.
     unsafe {
         let handle = libc::dlopen(name.as_ptr(), libc::RTLD_LAZY | libc::RTLD_LOCAL);
         if !handle.is_null() {

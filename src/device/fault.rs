@@ -6,8 +6,8 @@ use crate::Result;
 #[cfg(debug_assertions)]
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Counter of the commands of a device, some of which are made to fail. Without debug assertions it has no size and does
-/// nothing.
+/// Counter of the commands of a device, some of which are made to fail. Without debug assertions it
+/// has no size and does nothing.
 #[derive(Default)]
 pub(crate) struct Fault {
     #[cfg(debug_assertions)]

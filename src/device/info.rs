@@ -84,8 +84,8 @@ impl std::fmt::Display for DeviceInfo {
     }
 }
 
-/// What to install where `present` is empty, or why the drivers that are installed give no device, in one sentence; `None`
-/// where there is a device.
+/// What to install where `present` is empty, or why the drivers that are installed give no device,
+/// in one sentence; `None` where there is a device.
 pub fn advice(present: &[DeviceInfo]) -> Option<String> {
     /// What needs no device.
     #[cfg(feature = "opencl")]

@@ -89,8 +89,8 @@ impl Kernel {
         }
     }
 
-    /// Launches at least `global` work-items: each extent is rounded up to whole work-groups, and the surplus items return
-    /// without effect.
+    /// Launches at least `global` work-items: each extent is rounded up to whole work-groups, and
+    /// the surplus items return without effect.
     ///
     /// # Errors
     /// [`Error::Device`] where the launch fails.
@@ -102,7 +102,8 @@ impl Kernel {
         let context = &self.context;
         context.fault.count_command()?;
         let mut event = context.events.as_ref().map(|_| Event::null());
-        // SAFETY: every argument is bound by name with its declared type, and each kernel checks its indices.
+        // SAFETY: every argument is bound by name with its declared type, and each kernel checks
+        // its indices.
         unsafe {
             core::enqueue_kernel(
                 &context.queue,

@@ -1,8 +1,10 @@
 //! OpenCL without optics: the devices of this machine, contexts, compiled kernels, buffers, timing.
 //!
-//! The absence of OpenCL is not an error: `build.rs` links a replacement for libOpenCL that opens the real library at run
-//! time. A machine without OpenCL, or a build without the feature `opencl`, has zero devices, and [`advice`] says what to
-//! install. The drivers are loaded into this process only after a child process has listed their devices (`probe`). The names of the crate `ocl` are used in this module only.
+//! The absence of OpenCL is not an error: `build.rs` links a replacement for libOpenCL that opens
+//! the real library at run time. A machine without OpenCL, or a build without the feature `opencl`,
+//! has zero devices, and [`advice`] says what to install. The drivers are loaded into this process
+//! only after a child process has listed their devices (`probe`). The names of the crate `ocl` are
+//! used in this module only.
 
 #[cfg(not(feature = "opencl"))]
 mod absent;

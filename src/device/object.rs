@@ -4,8 +4,9 @@ use ocl::core;
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 
-/// An owned object of `ocl`. The drop of `ocl` panics if the release fails, which may happen once the device is lost; a
-/// panic during the unwinding of another one aborts the process. Here a failed release is ignored: nothing can be done.
+/// An owned object of `ocl`. The drop of `ocl` panics if the release fails, which may happen once
+/// the device is lost; a panic during the unwinding of another one aborts the process. Here a
+/// failed release is ignored: nothing can be done.
 pub(super) struct OpenClObject<T: Release>(ManuallyDrop<T>);
 
 /// Release of an OpenCL object.

@@ -1,4 +1,5 @@
-//! Peak arithmetic rate and memory bandwidth of a device, measured: they bound the time of every computation from below.
+//! Peak arithmetic rate and memory bandwidth of a device, measured: they bound the time of every
+//! computation from below.
 
 #[cfg(not(feature = "opencl"))]
 use super::absent::Device;
@@ -29,7 +30,8 @@ pub struct Peak {
 }
 
 impl Peak {
-    /// Lower bound of the time for `flops` operations and `bytes` bytes, µs: the longer of the two, as if they overlapped.
+    /// Lower bound of the time for `flops` operations and `bytes` bytes, µs: the longer of the two,
+    /// as if they overlapped.
     pub fn floor_us(&self, flops: f64, bytes: f64) -> f64 {
         (flops / self.gflops).max(bytes / self.gbytes_s) * 1e-3
     }
@@ -65,7 +67,8 @@ impl Peak {
     pub fn measure(device: &Device, precision: Precision) -> Result<Self> {
         let build = Build::for_device(device.info(), precision);
         let units = device.info().compute_units.max(1) as usize;
-        // Several work-items per core of a CPU, so that the cores finish together; enough of them to fill a GPU.
+        // Several work-items per core of a CPU, so that the cores finish together; enough of them
+        // to fill a GPU.
         let (unit, all) = if build.is_scalar() { (64, units * 2048) } else { (1, units * 4) };
         Ok(Self {
             gflops: gflops(device, build, all)?,

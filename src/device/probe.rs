@@ -1,8 +1,10 @@
-//! Probe of the OpenCL drivers before they are loaded into this process: `probe.c` loads them in a child, with a time limit.
+//! Probe of the OpenCL drivers before they are loaded into this process: `probe.c` loads them in a
+//! child, with a time limit.
 //!
-//! The outcome is kept in a file, `$XDG_CACHE_HOME/cophase/opencl-….txt` (default: `~/.cache`), which begins with what it
-//! depends on ([`drivers::fingerprint`]): a machine is probed once, and again after its drivers change or it was started
-//! again. A failure is kept for an hour only. Where the file cannot be written, each process probes for itself.
+//! The outcome is kept in a file, `$XDG_CACHE_HOME/cophase/opencl-….txt` (default: `~/.cache`),
+//! which begins with what it depends on ([`drivers::fingerprint`]): a machine is probed once, and
+//! again after its drivers change or it was started again. A failure is kept for an hour only.
+//! Where the file cannot be written, each process probes for itself.
 
 use super::drivers;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -10,8 +12,8 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::{Duration, SystemTime};
 
-/// Time within which the drivers of a machine list their devices; `COPHASE_OPENCL_TIMEOUT_S` sets another. A GPU that was
-/// asleep takes some seconds.
+/// Time within which the drivers of a machine list their devices; `COPHASE_OPENCL_TIMEOUT_S` sets
+/// another. A GPU that was asleep takes some seconds.
 const LIMIT: Duration = Duration::from_secs(20);
 
 /// How long a failure is believed.
@@ -107,7 +109,8 @@ fn cache_file(fingerprint: &str) -> Option<PathBuf> {
     Some(folder.join("cophase").join(format!("opencl-{:016x}.txt", hasher.finish())))
 }
 
-/// The refusal in `file` (`None` within: the drivers can be loaded); `None` where it holds none for this fingerprint.
+/// The refusal in `file` (`None` within: the drivers can be loaded); `None` where it holds none for
+/// this fingerprint.
 fn recall(file: &Path, fingerprint: &str) -> Option<Option<String>> {
     let text = std::fs::read_to_string(file).ok()?;
     let refusal = text.strip_prefix(fingerprint)?.strip_prefix(END)?;

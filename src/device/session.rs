@@ -40,7 +40,8 @@ pub struct Device {
 }
 
 impl Device {
-    /// Opens the device that `info` describes. With `timed`, every launch is recorded for [`Device::take_timings`].
+    /// Opens the device that `info` describes. With `timed`, every launch is recorded for
+    /// [`Device::take_timings`].
     ///
     /// # Errors
     /// [`Error::Device`] where the device is no longer available or a context cannot be created.
@@ -119,8 +120,8 @@ impl Device {
     /// The kernel `name` of the table, compiled for `build`. Compiled programs are cached.
     ///
     /// # Errors
-    /// [`Error::Device`] where the device lacks the precision or the compilation fails, with an excerpt of the compiler's
-    /// log.
+    /// [`Error::Device`] where the device lacks the precision or the compilation fails, with an
+    /// excerpt of the compiler's log.
     pub(crate) fn kernel(&self, name: &'static str, build: Build) -> Result<Kernel> {
         if !self.info().supports(build.precision) {
             return Err(Error::Device(format!(
@@ -162,7 +163,8 @@ impl Device {
         Ok(program)
     }
 
-    /// Time per kernel since the last call, longest first; empty where the device was opened without timing.
+    /// Time per kernel since the last call, longest first; empty where the device was opened
+    /// without timing.
     ///
     /// # Errors
     /// [`Error::Device`] where the device failed.
@@ -201,7 +203,8 @@ fn device_time(event: &Event) -> Result<Duration> {
     Ok(Duration::from_nanos(at(ProfilingInfo::End)?.saturating_sub(at(ProfilingInfo::Start)?)))
 }
 
-/// Excerpt of a build log on one line: from the first error on, or its end where it contains no error.
+/// Excerpt of a build log on one line: from the first error on, or its end where it contains no
+/// error.
 pub(super) fn excerpt(log: &str) -> String {
     let lines: Vec<&str> = log.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let error = lines.iter().position(|line| line.to_ascii_lowercase().contains("error"));

@@ -1,4 +1,5 @@
-//! The kernel table: every OpenCL kernel of the project, its source, its work-group size, and the compiler options.
+//! The kernel table: every OpenCL kernel of the project, its source, its work-group size, and the
+//! compiler options.
 
 use super::info::{DeviceInfo, DeviceKind};
 use super::precision::Precision;
@@ -11,8 +12,9 @@ const COMMON: &str = include_str!("../../kernels/common.cl");
 pub(crate) struct Entry {
     /// The `__kernel` function.
     pub name: &'static str,
-    /// Work-group size on a device that runs work-items in lockstep (a GPU). A CPU uses groups of one: its kernels are
-    /// written with explicit vectors, and a larger group would only add a loop.
+    /// Work-group size on a device that runs work-items in lockstep (a GPU). A CPU uses groups of
+    /// one: its kernels are written with explicit vectors, and a larger group would only add a
+    /// loop.
     pub gpu_local: [usize; 3],
 }
 
@@ -27,8 +29,8 @@ pub(crate) struct Family {
     pub entries: &'static [Entry],
 }
 
-/// The table, in the order in which the files are compiled, as one program: `focus.cl` calls functions of the files before
-/// it.
+/// The table, in the order in which the files are compiled, as one program: `focus.cl` calls
+/// functions of the files before it.
 pub(crate) const TABLE: &[Family] = &[
     Family {
         file: "field.cl",
@@ -104,7 +106,8 @@ pub(crate) const TABLE: &[Family] = &[
     },
 ];
 
-/// Compile-time parameters of a program. Each is a preprocessor definition documented in `common.cl`.
+/// Compile-time parameters of a program. Each is a preprocessor definition documented in
+/// `common.cl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct Build {
     /// Number type.
@@ -130,9 +133,9 @@ impl FftPlan {
     /// Sizes of the small transforms in `fft.cl`.
     const RADICES: [usize; 5] = [8, 12, 15, 16, 20];
 
-    /// The plan for `points` inputs of which only the `nonzero` next to the axis on either side are not zero; `None` where
-    /// `points` is not a product of two radices. Among several plans the one that reads the fewest zeros, then the one
-    /// with the most equal factors.
+    /// The plan for `points` inputs of which only the `nonzero` next to the axis on either side are
+    /// not zero; `None` where `points` is not a product of two radices. Among several plans the one
+    /// that reads the fewest zeros, then the one with the most equal factors.
     pub fn new(points: usize, nonzero: usize) -> Option<Self> {
         let plan = |a: usize| Self { a, b: points / a, nonzero_blocks: nonzero.div_ceil(points / a) };
         Self::RADICES
@@ -150,8 +153,8 @@ impl FftPlan {
 }
 
 impl Build {
-    /// The build for `device`: one number per work-item on a GPU; on a CPU the native vector width, at least 4, because the
-    /// kernels are not vectorised across work-items there.
+    /// The build for `device`: one number per work-item on a GPU; on a CPU the native vector width,
+    /// at least 4, because the kernels are not vectorised across work-items there.
     pub fn for_device(device: &DeviceInfo, precision: Precision) -> Self {
         let single = match device.kind {
             DeviceKind::Gpu | DeviceKind::Accelerator => 1,
@@ -169,12 +172,14 @@ impl Build {
         Self { precision, vector, fft: None }
     }
 
-    /// Whether work-items run in lockstep with one number each; work-groups then have the size [`Entry::gpu_local`].
+    /// Whether work-items run in lockstep with one number each; work-groups then have the size
+    /// [`Entry::gpu_local`].
     pub fn is_scalar(&self) -> bool {
         self.vector == 1
     }
 
-    /// Options of the OpenCL compiler. They keep the names of arguments, because arguments are bound by name.
+    /// Options of the OpenCL compiler. They keep the names of arguments, because arguments are
+    /// bound by name.
     pub(super) fn options(&self) -> String {
         let double = usize::from(self.precision == Precision::F64);
         // Without signed zeros x + 0 is x, which prunes the small transforms of zeros.
@@ -189,7 +194,8 @@ impl Build {
     }
 }
 
-/// The text of the program: `common.cl`, then the table. With `#line` a build log refers to lines of the files.
+/// The text of the program: `common.cl`, then the table. With `#line` a build log refers to lines
+/// of the files.
 pub(super) fn program_text() -> String {
     let mut text = String::from(COMMON);
     for family in TABLE {

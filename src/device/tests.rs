@@ -1,5 +1,5 @@
-//! Tests of the device module. Those that need OpenCL are skipped where there is none; with `COPHASE_REQUIRE_OPENCL=1` they
-//! fail instead.
+//! Tests of the device module. Those that need OpenCL are skipped where there is none; with
+//! `COPHASE_REQUIRE_OPENCL=1` they fail instead.
 //!
 //! `scripts/check-kernels` checks the kernels for data races and out-of-bounds accesses.
 
@@ -157,8 +157,8 @@ fn the_excerpt_of_a_log_starts_at_its_first_error() {
     assert_eq!(session::excerpt(""), "");
 }
 
-/// Run by the next test in a process of its own, because the loader opens the library once per process. Several threads
-/// call at once: PoCL crashes if its first two calls overlap.
+/// Run by the next test in a process of its own, because the loader opens the library once per
+/// process. Several threads call at once: PoCL crashes if its first two calls overlap.
 #[test]
 fn devices_are_counted() {
     let counts = std::thread::scope(|scope| {
@@ -202,8 +202,9 @@ fn a_kernel_runs() {
 
 const POCL: &str = "Portable Computing Language";
 
-/// Drivers cache compiled programs from one process to the next, keyed by source, options, device and driver version. This
-/// test inspects the cache of PoCL; NVIDIA and Intel do the same. A second cache of our own would only become stale.
+/// Drivers cache compiled programs from one process to the next, keyed by source, options, device
+/// and driver version. This test inspects the cache of PoCL; NVIDIA and Intel do the same. A second
+/// cache of our own would only become stale.
 #[test]
 fn a_second_process_finds_the_programs_compiled() {
     if !test_devices().iter().any(|info| info.platform_name == POCL) {

@@ -1,5 +1,5 @@
-//! The transform as it is defined: four nested sums in double precision. The reference implementation, too slow for
-//! anything but tests.
+//! The transform as it is defined: four nested sums in double precision. The reference
+//! implementation, too slow for anything but tests.
 
 use super::Sampling;
 

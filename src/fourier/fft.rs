@@ -1,9 +1,9 @@
-//! The transform as a pruned zero-padded FFT (`rustfft`): only the n rows of the pupil are transformed along x, and only
-//! the m columns of the image along y.
+//! The transform as a pruned zero-padded FFT (`rustfft`): only the n rows of the pupil are
+//! transformed along x, and only the m columns of the image along y.
 //!
-//! The FFT counts samples and frequencies from 0, the definition from the axis: they differ by a phase per pixel,
-//! `exp(2πi·step·(n−1)/2·(u + v))`. The intensity does not depend on it, and the adjoint here is the exact adjoint of this
-//! forward transform.
+//! The FFT counts samples and frequencies from 0, the definition from the axis: they differ by a
+//! phase per pixel, `exp(2πi·step·(n−1)/2·(u + v))`. The intensity does not depend on it, and the
+//! adjoint here is the exact adjoint of this forward transform.
 
 use super::real::Real;
 use super::sampling::Sampling;
@@ -12,7 +12,8 @@ use cophase_numerics::fft::{Fft, plan_both};
 use num_complex::Complex;
 use std::sync::Arc;
 
-/// Zero-padded FFT of one sampling. Plans are shared by all threads; each thread has its own [`Workspace`].
+/// Zero-padded FFT of one sampling. Plans are shared by all threads; each thread has its own
+/// [`Workspace`].
 #[derive(Clone)]
 pub struct FftTransform<T: Real> {
     sampling: Sampling,

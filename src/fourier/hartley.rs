@@ -1,17 +1,19 @@
-//! Discrete Hartley transform of a real square array: real, orthogonal, its own inverse and its own adjoint.
+//! Discrete Hartley transform of a real square array: real, orthogonal, its own inverse and its own
+//! adjoint.
 //!
-//! `H[l][k] = 1/N·Σ_yx h[y][x]·cas(2π(kx + ly)/N)`, cas θ = cos θ + sin θ. With F the DFT of the same array it is
-//! (Re F − Im F)/N. A filter that is real and even in frequency is diagonal in this basis: white noise, multiplied with
-//! one factor per frequency, transforms into a field with that power spectrum. There are no pairs of conjugate
-//! coefficients as in a DFT, and memory and time are half of a complex transform's.
+//! `H[l][k] = 1/N·Σ_yx h[y][x]·cas(2π(kx + ly)/N)`, cas θ = cos θ + sin θ. With F the DFT of the
+//! same array it is (Re F − Im F)/N. A filter that is real and even in frequency is diagonal in
+//! this basis: white noise, multiplied with one factor per frequency, transforms into a field with
+//! that power spectrum. There are no pairs of conjugate coefficients as in a DFT, and memory and
+//! time are half of a complex transform's.
 
 use super::real::Real;
 use cophase_numerics::fft::{Fft, FftDirection};
 use num_complex::Complex;
 use std::sync::Arc;
 
-/// The transform of N×N numbers. Plans are shared by all threads; each thread has its own scratch memory,
-/// from [`HartleyTransform::scratch`].
+/// The transform of N×N numbers. Plans are shared by all threads; each thread has its own scratch
+/// memory, from [`HartleyTransform::scratch`].
 #[derive(Clone)]
 pub struct HartleyTransform<T: Real> {
     side: usize,
@@ -43,9 +45,9 @@ impl<T: Real> HartleyTransform<T> {
         vec![Complex::default(); n + n * (n / 2 + 1) + self.fft.get_inplace_scratch_len()]
     }
 
-    /// The transform of `from` (`[y][x]`) into `to`, **transposed** (`[k][l]`, k the frequency along x). That saves a pass
-    /// over the memory; a second application restores `from` in its original orientation. Rows outside `rows` must be
-    /// zero, and are not read.
+    /// The transform of `from` (`[y][x]`) into `to`, **transposed** (`[k][l]`, k the frequency
+    /// along x). That saves a pass over the memory; a second application restores `from` in its
+    /// original orientation. Rows outside `rows` must be zero, and are not read.
     ///
     /// # Panics
     /// If an array has another size.
@@ -56,7 +58,8 @@ impl<T: Real> HartleyTransform<T> {
         let (columns, scratch) = rest.split_at_mut(n * (n / 2 + 1));
         columns.fill(Complex::default());
         for pair in rows.start / 2..rows.end.div_ceil(2) {
-            // Two real rows as one complex: F of the first is the conjugate-even part, i·F of the second the odd one.
+            // Two real rows as one complex: F of the first is the conjugate-even part, i·F of the
+            // second the odd one.
             let (first, second) = from[2 * pair * n..][..2 * n].split_at(n);
             for ((line, &re), &im) in line.iter_mut().zip(first).zip(second) {
                 *line = Complex::new(re, im);
@@ -129,7 +132,8 @@ mod tests {
             transform.transform(&there, 0..n, &mut back, &mut scratch);
             back.iter().zip(&wanted).map(|(b, w)| (b.widen() - w).abs()).fold(0.0, f64::max)
         }
-        // Two orthogonal transforms of numbers of order 1, log₂(60²) = 12 levels each, a rounding or two a level.
+        // Two orthogonal transforms of numbers of order 1, log₂(60²) = 12 levels each, a rounding
+        // or two a level.
         assert!(worst::<f64>(60, 7..41) < 30.0 * f64::EPSILON);
         assert!(worst::<f32>(60, 7..41) < 30.0 * f64::from(f32::EPSILON));
         assert!(worst::<f64>(60, 0..60) < 30.0 * f64::EPSILON);

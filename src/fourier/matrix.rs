@@ -1,20 +1,23 @@
 //! The transform as products with real matrices, folded about the axis.
 //!
-//! Along one axis, with `x_j = j + ½` for the upper half of the samples and the field split into its even and odd parts
-//! `e_j = E(x_j) + E(−x_j)`, `o_j = E(x_j) − E(−x_j)`:
+//! Along one axis, with `x_j = j + ½` for the upper half of the samples and the field split into
+//! its even and odd parts `e_j = E(x_j) + E(−x_j)`, `o_j = E(x_j) − E(−x_j)`:
 //!
-//! `U(±u) = C_u ∓ i·S_u`,  `C_u = Σ_j cos(2π·step·u·x_j)·e_j`,  `S_u = Σ_j sin(2π·step·u·x_j)·o_j`,  u = 0 … m/2,
+//! `U(±u) = C_u ∓ i·S_u`,  `C_u = Σ_j cos(2π·step·u·x_j)·e_j`,  `S_u = Σ_j sin(2π·step·u·x_j)·o_j`,
+//! u = 0 … m/2,
 //!
-//! which takes a quarter of the operations of a complex matrix product. The adjoint folds the pixels instead
-//! (`P_u = G(u) + G(−u)`, `Q_u = G(u) − G(−u)`) and runs through the same matrices transposed. Pixel −m/2 has no
-//! partner: folding treats pixel +m/2 as zero, and unfolding drops it.
+//! which takes a quarter of the operations of a complex matrix product. The adjoint folds the
+//! pixels instead (`P_u = G(u) + G(−u)`, `Q_u = G(u) − G(−u)`) and runs through the same matrices
+//! transposed. Pixel −m/2 has no partner: folding treats pixel +m/2 as zero, and unfolding drops
+//! it.
 
 use super::product::{Factors, panel_len};
 use super::real::Real;
 use super::sampling::Sampling;
 use super::workspace::Workspace;
 
-/// Folded matrix transform of one sampling. Tables are shared by all threads; each thread has its own [`Workspace`].
+/// Folded matrix transform of one sampling. Tables are shared by all threads; each thread has its
+/// own [`Workspace`].
 #[derive(Clone)]
 pub struct MatrixTransform<T: Real> {
     sampling: Sampling,
@@ -33,7 +36,8 @@ impl<T: Real> MatrixTransform<T> {
     pub fn new(sampling: Sampling) -> Self {
         let (half, harmonics) = (sampling.samples / 2, sampling.pixels / 2 + 1);
         let angle = |u: usize, j: usize| {
-            // Reduced to one turn before it becomes an angle, so that high harmonics keep full precision.
+            // Reduced to one turn before it becomes an angle, so that high harmonics keep full
+            // precision.
             let turns = sampling.step() * u as f64 * (j as f64 + 0.5);
             std::f64::consts::TAU * (turns - turns.round())
         };
@@ -49,8 +53,9 @@ impl<T: Real> MatrixTransform<T> {
         Workspace { real: vec![T::default(); self.sizes().iter().sum()], complex: Vec::new() }
     }
 
-    /// Sizes of the scratch areas: folded even, folded odd (each large enough for either axis and direction), the
-    /// half-transformed field; the two products, and the panel used to compute them.
+    /// Sizes of the scratch areas: folded even, folded odd (each large enough for either axis and
+    /// direction), the half-transformed field; the two products, and the panel used to compute
+    /// them.
     fn sizes(&self) -> [usize; 6] {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
@@ -68,7 +73,8 @@ impl<T: Real> MatrixTransform<T> {
         product((harmonics, half, 2 * n), &self.cos, even, c, panel);
         product((harmonics, half, 2 * n), &self.sin, odd, s, panel);
         unfold_rows(c, s, middle, n, m);
-        // Along x: 2m rows (real parts and imaginary parts of each pixel row) of n are folded end to end.
+        // Along x: 2m rows (real parts and imaginary parts of each pixel row) of n are folded end
+        // to end.
         fold_columns(middle, even, odd, 2 * m, n);
         product((2 * m, half, harmonics), even, &self.cos_across, c, panel);
         product((2 * m, half, harmonics), odd, &self.sin_across, s, panel);
@@ -205,7 +211,8 @@ fn fold_columns<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], count: usize
     }
 }
 
-/// field(±x_j) = C_j ± i·S_j along the rows, the adjoint of [`fold_columns`] with the factor i of the sine part.
+/// field(±x_j) = C_j ± i·S_j along the rows, the adjoint of [`fold_columns`] with the factor i of
+/// the sine part.
 #[inline(always)]
 fn fold_columns_adjoint<T: Real>(c: &[T], s: &[T], rows: &mut [T], m: usize, n: usize) {
     let half = n / 2;
@@ -241,8 +248,8 @@ fn unfold_columns<T: Real>(c: &[T], s: &[T], focus: &mut [T], m: usize) {
     }
 }
 
-/// P_u = G(u) + G(−u), Q_u = G(u) − G(−u) along the rows of the image; for a pixel without a partner,
-/// P and Q are that pixel alone.
+/// P_u = G(u) + G(−u), Q_u = G(u) − G(−u) along the rows of the image; for a pixel without a
+/// partner, P and Q are that pixel alone.
 #[inline(always)]
 fn unfold_columns_adjoint<T: Real>(focus: &[T], even: &mut [T], odd: &mut [T], m: usize) {
     let harmonics = m / 2 + 1;

@@ -1,8 +1,10 @@
-//! Response of a detector's pixels to the intensity of an image: the mean over a square, blurred by the diffusion of charge.
+//! Response of a detector's pixels to the intensity of an image: the mean over a square, blurred by
+//! the diffusion of charge.
 
 use std::f64::consts::{PI, TAU};
 
-/// Pixels that gather light over an area, along one axis; the response along x and y is the product of two of them.
+/// Pixels that gather light over an area, along one axis; the response along x and y is the product
+/// of two of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelResponse {
     /// Side of the sensitive square, pixels.
@@ -25,8 +27,8 @@ impl PixelResponse {
         Self { width_pixels: self.width_pixels / times, diffusion_pixels: self.diffusion_pixels / times }
     }
 
-    /// Factor by which the response changes a spatial frequency of the image: that of a square times that of a Gaussian,
-    /// `sin(πwf)/(πwf) · exp(−(2πσf)²/2)`.
+    /// Factor by which the response changes a spatial frequency of the image: that of a square
+    /// times that of a Gaussian, `sin(πwf)/(πwf) · exp(−(2πσf)²/2)`.
     pub fn transfer(&self, cycles_per_pixel: f64) -> f64 {
         let x = PI * self.width_pixels * cycles_per_pixel;
         let square = if x == 0.0 { 1.0 } else { x.sin() / x };
@@ -42,8 +44,8 @@ mod tests {
     fn transfer_function_is_the_mean_of_a_wave_over_the_response() {
         let response = PixelResponse { width_pixels: 0.8, diffusion_pixels: 0.3 };
         let f = 0.21;
-        // ∫ cos(2πfx) over the square and the Gaussian, by the midpoint rule on 2,000 × 2,000 points of ±6 standard deviations,
-        // whose error is far below 1e-6.
+        // ∫ cos(2πfx) over the square and the Gaussian, by the midpoint rule on 2,000 × 2,000
+        // points of ±6 standard deviations, whose error is far below 1e-6.
         let points = 2000;
         let at = |i: usize| (i as f64 + 0.5) / points as f64 - 0.5;
         let square = (0..points).map(|i| (TAU * f * 0.8 * at(i)).cos()).sum::<f64>() / points as f64;

@@ -1,13 +1,14 @@
-//! Matrix product without allocation. The product of `faer` keeps packing buffers per thread, which the first product on a
-//! thread allocates; a real-time call must not.
+//! Matrix product without allocation. The product of `faer` keeps packing buffers per thread, which
+//! the first product on a thread allocates; a real-time call must not.
 //!
-//! Register-blocked: `MR` rows by `NV` vectors of the product stay in registers while the depth runs through. The
-//! columns of the right factor are packed panel by panel, so that they are read in order at any stride. The last
-//! panel overlaps its neighbour rather than being padded: the columns computed twice are bitwise the same, because
-//! each entry is one chain of fused multiply-adds along the depth, at any vector width.
+//! Register-blocked: `MR` rows by `NV` vectors of the product stay in registers while the depth
+//! runs through. The columns of the right factor are packed panel by panel, so that they are read
+//! in order at any stride. The last panel overlaps its neighbour rather than being padded: the
+//! columns computed twice are bitwise the same, because each entry is one chain of fused
+//! multiply-adds along the depth, at any vector width.
 //!
-//! On an AVX-512 processor the products of a transform (64/96 to 240/480 samples and pixels) run at 80 to 121 Gflop/s
-//! in f64 and 130 to 222 in f32; those of faer at 91 to 119 and 175 to 230.
+//! On an AVX-512 processor the products of a transform (64/96 to 240/480 samples and pixels) run at
+//! 80 to 121 Gflop/s in f64 and 130 to 222 in f32; those of faer at 91 to 119 and 175 to 230.
 
 use pulp::{Simd, WithSimd};
 
@@ -37,7 +38,8 @@ pub struct Factors<'a, T> {
 
 /// Element type of matrices that can be multiplied.
 pub trait Product: Copy {
-    /// `out[rows × cols] = left · right`, row-major. `panel` is scratch memory of `panel_len` elements.
+    /// `out[rows × cols] = left · right`, row-major. `panel` is scratch memory of `panel_len`
+    /// elements.
     ///
     /// # Panics
     /// If a slice is too short.
@@ -66,7 +68,8 @@ macro_rules! product {
                     let mut first = 0;
                     while first < cols {
                         let left = (cols - first).div_ceil(lanes);
-                        // Two panels of two vectors rather than three and one: a panel of one vector stalls on the latency of its sums.
+                        // Two panels of two vectors rather than three and one: a panel of one
+                        // vector stalls on the latency of its sums.
                         let most = if left == MOST_VECTORS + 1 { 2 } else { MOST_VECTORS };
                         let vectors = left.min(cols / lanes).min(most);
                         // The last panel ends with the last column.
@@ -95,7 +98,8 @@ macro_rules! product {
                 for (to, from) in panel.chunks_exact_mut(width).zip(factors.right.chunks_exact(factors.cols)) {
                     to.copy_from_slice(&from[start..][..width]);
                 }
-                // As many rows as leave room in the registers for the panel's vectors and one of the left factor.
+                // As many rows as leave room in the registers for the panel's vectors and one of
+                // the left factor.
                 let mut row = 0;
                 if S::REGISTER_COUNT >= 32 {
                     row = rows::<S, 8, NV>(simd, factors, row, start, out, panel);
@@ -194,7 +198,8 @@ mod tests {
             for (i, value) in out.iter().enumerate() {
                 let terms = (0..depth).map(|k| (left[i / cols * depth + k], right[k * cols + i % cols]));
                 let exact: f64 = terms.map(|(a, b)| a.to_f64().unwrap() * b.to_f64().unwrap()).sum();
-                // Each of `depth` additions of terms below 1 rounds a sum below `depth`: at worst depth² half-roundings.
+                // Each of `depth` additions of terms below 1 rounds a sum below `depth`: at worst
+                // depth² half-roundings.
                 let bound = epsilon * (depth * depth) as f64;
                 assert!((value.to_f64().unwrap() - exact).abs() <= bound, "{rows}x{depth}x{cols} at {i}: {value:?}");
             }

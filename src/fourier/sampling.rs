@@ -2,7 +2,8 @@
 
 use crate::{Error, Result};
 
-/// Sizes of a transform: n×n samples to m×m pixels, `pixels_per_lambda_over_d` pixels per λ/(width of the pupil grid).
+/// Sizes of a transform: n×n samples to m×m pixels, `pixels_per_lambda_over_d` pixels per λ/(width
+/// of the pupil grid).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sampling {
     /// Pupil samples a side (even).
@@ -17,8 +18,8 @@ impl Sampling {
     /// The sizes, checked.
     ///
     /// # Errors
-    /// [`Error::Shape`] for odd or zero sizes: even sizes put the axis between samples and on a pixel, and let the
-    /// transform fold; [`Error::Value`] for a sampling that is not positive.
+    /// [`Error::Shape`] for odd or zero sizes: even sizes put the axis between samples and on a
+    /// pixel, and let the transform fold; [`Error::Value`] for a sampling that is not positive.
     pub fn new(samples: usize, pixels: usize, pixels_per_lambda_over_d: f64) -> Result<Self> {
         for (what, size) in [("pupil samples", samples), ("image pixels", pixels)] {
             if size == 0 || size % 2 != 0 {
@@ -38,18 +39,20 @@ impl Sampling {
         1.0 / (self.samples as f64 * self.pixels_per_lambda_over_d)
     }
 
-    /// Samples along a side of the zero-padded grid whose FFT has this sampling. `None` unless that is an even integer
-    /// not below the numbers of samples and pixels.
+    /// Samples along a side of the zero-padded grid whose FFT has this sampling. `None` unless that
+    /// is an even integer not below the numbers of samples and pixels.
     pub fn padded(&self) -> Option<usize> {
         let exact = self.samples as f64 * self.pixels_per_lambda_over_d;
         let whole = exact.round();
-        // 1e-9 of a sample over the whole grid is far below the rounding of a double-precision transform.
+        // 1e-9 of a sample over the whole grid is far below the rounding of a double-precision
+        // transform.
         let fits = (exact - whole).abs() < 1e-9 && whole as usize >= self.samples.max(self.pixels);
         (fits && (whole as usize).is_multiple_of(2)).then_some(whole as usize)
     }
 }
 
-/// The smallest even number from `least` on whose prime factors are 2, 3 and 5: an efficient length for an FFT.
+/// The smallest even number from `least` on whose prime factors are 2, 3 and 5: an efficient length
+/// for an FFT.
 pub fn fast_side(least: usize) -> usize {
     (least.max(2).next_multiple_of(2)..).step_by(2).find(|&n| is_product_of(n, &[2, 3, 5])).unwrap_or(least)
 }

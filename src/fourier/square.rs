@@ -13,7 +13,8 @@ pub(crate) fn transform_square(field: &mut [Complex64], n: usize, fft: &dyn Fft<
     transpose(&transposed, n, field, n, [n, n]);
 }
 
-/// Transposes: writes `from[y][x]` to `to[x][y]` for the first `[y, x]`, with rows of the two strides.
+/// Transposes: writes `from[y][x]` to `to[x][y]` for the first `[y, x]`, with rows of the two
+/// strides.
 pub(crate) fn transpose<T: Copy>(
     from: &[T],
     from_stride: usize,

@@ -30,7 +30,8 @@ fn the_matrix_transform_is_the_definition() {
         let mut focus = vec![f64::NAN; 2 * m * m];
         transform.forward(&pupil, &mut focus, &mut workspace);
         let truth = definition::forward(sampling, &pupil);
-        // Sums of n² terms of size 1: rounding grows no faster than n² half-ulps; 1e-14·n² leaves a margin of 100.
+        // Sums of n² terms of size 1: rounding grows no faster than n² half-ulps; 1e-14·n² leaves a
+        // margin of 100.
         let bound = 1e-14 * (n * n) as f64;
         assert!(focus.iter().zip(&truth).all(|(a, b)| (a - b).abs() < bound), "forward, n {n} m {m} q {q}");
 
@@ -81,7 +82,8 @@ fn adjoints_pass_the_dot_test() {
             workspace.complex.fill(num_complex::Complex::new(f64::NAN, f64::NAN));
             transform.adjoint(&image, &mut back, &mut workspace);
             let (left, right) = (dot(&focus, &image), dot(&pupil, &back));
-            // Both sides are sums of 2m² products of numbers of size n: 1e-15·(norms) with a margin of 10.
+            // Both sides are sums of 2m² products of numbers of size n: 1e-15·(norms) with a margin
+            // of 10.
             let bound = 1e-14 * dot(&focus, &focus).sqrt() * dot(&image, &image).sqrt();
             assert!((left - right).abs() < bound, "{left} against {right}, bound {bound}");
         }
@@ -98,7 +100,8 @@ fn single_precision_agrees_to_its_rounding() {
     wide.forward(&pupil, &mut a, &mut wide.workspace());
     narrow.forward(&narrow_pupil, &mut b, &mut narrow.workspace());
     let largest = a.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    // 144 terms in f32: a random walk of 12 half-ulps is 7e-7 of the largest value; three times that.
+    // 144 terms in f32: a random walk of 12 half-ulps is 7e-7 of the largest value; three times
+    // that.
     assert!(a.iter().zip(&b).all(|(a, b)| (a - f64::from(*b)).abs() < 2e-6 * largest));
 }
 

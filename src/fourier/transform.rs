@@ -1,4 +1,5 @@
-//! The fast transform of one sampling: folded matrix products or a zero-padded FFT, and the choice between them.
+//! The fast transform of one sampling: folded matrix products or a zero-padded FFT, and the choice
+//! between them.
 
 use super::fft::FftTransform;
 use super::matrix::MatrixTransform;
@@ -16,17 +17,18 @@ pub enum Transform<T: Real> {
 }
 
 /// Time of an operation of the FFT relative to a multiply-add of the matrix product. Measured with
-/// `cargo bench --bench transform` on an AVX-512 processor, forward and adjoint, (n, m), f32 / f64: 5.3 at (120, 112), 5.3 / 4.5 at (144, 152), 7.5 / 6.5 at
-/// (120, 240), 6.0 at (240, 240), 9.7 at (240, 480). Within a factor of 1.3 the choice makes
-/// little difference.
+/// `cargo bench --bench transform` on an AVX-512 processor, forward and adjoint, (n, m), f32 / f64:
+/// 5.3 at (120, 112), 5.3 / 4.5 at (144, 152), 7.5 / 6.5 at (120, 240), 6.0 at (240, 240), 9.7 at
+/// (240, 480). Within a factor of 1.3 the choice makes little difference.
 const FFT_OPERATION: f64 = 6.5;
-/// The same for a length with a prime factor above 7, which Rader's algorithm turns into a convolution: 11.2 / 7.4 at
-/// (144, 152) in 272 = 2⁴·17, 19 / 14 at (180, 208) in 344 = 2³·43.
+/// The same for a length with a prime factor above 7, which Rader's algorithm turns into a
+/// convolution: 11.2 / 7.4 at (144, 152) in 272 = 2⁴·17, 19 / 14 at (180, 208) in 344 = 2³·43.
 const FFT_OPERATION_ROUGH: f64 = 13.0;
 
 impl<T: Real> Transform<T> {
-    /// The cheaper algorithm for `sampling`, by counting operations: `2mn(n+m)` multiply-adds for the matrix products, and
-    /// `5·N·log₂N` operations for each of the n + m lines of the FFT, weighted with `FFT_OPERATION`.
+    /// The cheaper algorithm for `sampling`, by counting operations: `2mn(n+m)` multiply-adds for
+    /// the matrix products, and `5·N·log₂N` operations for each of the n + m lines of the FFT,
+    /// weighted with `FFT_OPERATION`.
     pub fn choose(sampling: Sampling) -> Self {
         let (n, m) = (sampling.samples as f64, sampling.pixels as f64);
         match sampling.padded() {
@@ -59,8 +61,8 @@ impl<T: Real> Transform<T> {
         }
     }
 
-    /// Pupil (row-planar n×n) to focus (row-planar m×m). The FFT differs by a phase per pixel, on which
-    /// the intensity does not depend and which the adjoint removes.
+    /// Pupil (row-planar n×n) to focus (row-planar m×m). The FFT differs by a phase per pixel, on
+    /// which the intensity does not depend and which the adjoint removes.
     #[inline(always)]
     pub fn forward(&self, pupil: &[T], focus: &mut [T], workspace: &mut Workspace<T>) {
         match self {

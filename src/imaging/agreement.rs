@@ -1,5 +1,6 @@
-//! Comparison of every fast variant of the chain with the f64 CPU chain over random scenes: random grids, crops and samplings,
-//! overlapping and tilting segments, random modes and photometry, batches of random size.
+//! Comparison of every fast variant of the chain with the f64 CPU chain over random scenes: random
+//! grids, crops and samplings, overlapping and tilting segments, random modes and photometry,
+//! batches of random size.
 
 use super::chain::layout;
 use super::gpu::{GpuChain, GpuLayout};
@@ -13,8 +14,8 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// Random scenes: six in a usual run, which has each branch of [`sampling`] and each combination of builds; sixteen in
-/// `scripts/test --all`. Most of their time is that of compiling kernels.
+/// Random scenes: six in a usual run, which has each branch of [`sampling`] and each combination of
+/// builds; sixteen in `scripts/test --all`. Most of their time is that of compiling kernels.
 fn cases() -> u64 {
     if std::env::var_os("COPHASE_LONG_TESTS").is_some() { 16 } else { 6 }
 }
@@ -32,7 +33,8 @@ fn uniform(count: usize, scale: f64, random: &mut impl Rng) -> Vec<f64> {
     (0..count).map(|_| scale * (2.0 * random.random::<f64>() - 1.0)).collect()
 }
 
-/// Even grids of 8 to 46 samples and 6 to 62 pixels; one case in three is a whole image of 64 to 144 pixels.
+/// Even grids of 8 to 46 samples and 6 to 62 pixels; one case in three is a whole image of 64 to
+/// 144 pixels.
 fn sampling(seed: u64, random: &mut impl Rng) -> (Sampling, Option<FftPlan>) {
     if seed.is_multiple_of(3) {
         let pixels = [64, 96, 128, 144, 160, 240][(seed / 3 % 6) as usize];
@@ -45,7 +47,8 @@ fn sampling(seed: u64, random: &mut impl Rng) -> (Sampling, Option<FftPlan>) {
     (Sampling::new(samples, pixels, 1.0 + 2.0 * random.random::<f64>()).unwrap(), None)
 }
 
-/// Wavelengths and pixels: of six cases in turn, one has three wavelengths, one has pixels with an area, and one has both.
+/// Wavelengths and pixels: of six cases in turn, one has three wavelengths, one has pixels with an
+/// area, and one has both.
 fn camera(seed: u64) -> (Vec<Colour>, [PixelResponse; 2]) {
     let colours = [(0.9, 0.3), (1.02, 0.5), (1.15, 0.2)].map(|(ratio, share)| Colour { ratio, share });
     let pixel = [(0.8, 0.3), (1.0, 0.0)]
@@ -159,7 +162,8 @@ pub(super) fn largest_gradient_difference(found: &[f64], wanted: &[f64], images:
     rows.map(one).fold(0.0, f64::max)
 }
 
-/// The builds to test on a device: its own build, the same with the FFT if the image is whole, and that of a GPU.
+/// The builds to test on a device: its own build, the same with the FFT if the image is whole, and
+/// that of a GPU.
 fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> {
     let mut builds = Vec::new();
     for precision in [Precision::F32, Precision::F64].into_iter().filter(|p| info.supports(*p)) {
@@ -170,8 +174,9 @@ fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> 
     builds
 }
 
-/// Tolerance. f32: phases of up to 10 rad in 24 bits have errors of 6e-7, the sums over pixels and samples smaller ones, and
-/// the residuals, of the order of the image itself, do not cancel: 1e-5 is ten times the observed error. f64: 2e-9 of that.
+/// Tolerance. f32: phases of up to 10 rad in 24 bits have errors of 6e-7, the sums over pixels and
+/// samples smaller ones, and the residuals, of the order of the image itself, do not cancel: 1e-5
+/// is ten times the observed error. f64: 2e-9 of that.
 pub(super) fn allowed(precision: Precision) -> f64 {
     if precision == Precision::F32 { 1e-5 } else { 1e-11 }
 }
@@ -230,8 +235,8 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
     println!("largest differences: f32 {:.1e}, f64 {:.1e}", worst[0], worst[1]);
 }
 
-/// On a CPU device `focus_stored` takes a batch, image by image, and the stages take one image alone. A build of single numbers has
-/// the stages for both.
+/// On a CPU device `focus_stored` takes a batch, image by image, and the stages take one image
+/// alone. A build of single numbers has the stages for both.
 #[test]
 #[ignore = "merge: 20 s"]
 fn wavelengths_and_pixel_areas_agree_with_cpu_in_any_batch() {
@@ -241,8 +246,9 @@ fn wavelengths_and_pixel_areas_agree_with_cpu_in_any_batch() {
         assert!(optics.colours().len() > 1 || optics.parts().pixel != [PixelResponse::POINT; 2]);
         let device = Device::open(info, false).unwrap();
         let layout = GpuLayout { free_phase: true, ..layout(optics) };
-        // More images than work-items of a CPU, which has three for each of its cores; the last group is not full. The tolerance is that of some dozen
-        // images: of 531 random ones one is 1.8e-5 off in f32 through PoCL.
+        // More images than work-items of a CPU, which has three for each of its cores; the last
+        // group is not full. The tolerance is that of some dozen images: of 531 random ones one is
+        // 1.8e-5 off in f32 through PoCL.
         let count = 4 * (info.compute_units as usize).min(8) + 3;
         let batch: Vec<usize> = (0..count).map(|i| i % active.len()).collect();
         let images: Vec<usize> = batch.iter().map(|&i| active[i]).collect();
@@ -265,7 +271,8 @@ fn wavelengths_and_pixel_areas_agree_with_cpu_in_any_batch() {
             let distance =
                 largest_difference(&together, &wanted).max(largest_gradient_difference(&slopes, &wanted_slopes, count));
             assert!(distance < allowed(precision), "case {seed}, {build:?}: {distance:e} from the CPU");
-            // The same sums in the same order; only fused multiply-adds may differ: a few roundings.
+            // The same sums in the same order; only fused multiply-adds may differ: a few
+            // roundings.
             let close = if precision == Precision::F32 { 1e-6 } else { 1e-14 };
             for i in 0..count {
                 let own = i * illuminated..(i + 1) * illuminated;

@@ -48,17 +48,20 @@ impl Chain {
         }
     }
 
-    /// A chain on the device of `choice`, with memory for `capacity` images. `auto` selects a GPU if it supports the precision
-    /// and has memory for the model, otherwise the CPU; if the GPU fails later, the CPU replaces it: see [`Fallback`].
+    /// A chain on the device of `choice`, with memory for `capacity` images. `auto` selects a GPU
+    /// if it supports the precision and has memory for the model, otherwise the CPU; if the GPU
+    /// fails later, the CPU replaces it: see [`Fallback`].
     ///
     /// # Errors
-    /// [`crate::Error::Device`] where an OpenCL device is required and there is none, or it cannot run this model.
+    /// [`crate::Error::Device`] where an OpenCL device is required and there is none, or it cannot
+    /// run this model.
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
         Self::open_as(optics, choice, precision, capacity, false)
     }
 
-    /// As [`Chain::open`], for images that do not depend on each other: with `all` they are shared among several devices, no more than
-    /// there are images. A device that cannot run the model is left out, and [`Chain::failure`] says so.
+    /// As [`Chain::open`], for images that do not depend on each other: with `all` they are shared
+    /// among several devices, no more than there are images. A device that cannot run the model is
+    /// left out, and [`Chain::failure`] says so.
     ///
     /// # Errors
     /// As [`Chain::open`].
@@ -155,10 +158,12 @@ impl Chain {
         }
     }
 
-    /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that order.
+    /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that
+    /// order.
     ///
     /// # Errors
-    /// [`crate::Error::Shape`] where the arrays do not fit; [`crate::Error::Device`] where a device fails.
+    /// [`crate::Error::Shape`] where the arrays do not fit; [`crate::Error::Device`] where a device
+    /// fails.
     pub fn evaluate(&mut self, images: &[usize], coefficients_nm: ArrayView2<f64>) -> Result<Vec<Evaluation>> {
         match self {
             Self::Cpu64(chain) => chain.evaluate(images, coefficients_nm),
@@ -172,8 +177,9 @@ impl Chain {
         }
     }
 
-    /// As [`Chain::evaluate`] with a free phase in addition to the modes, turns, `[image][illuminated sample]`. The gradient by
-    /// it, per turn, is written into `slopes`. For a chain from [`Chain::open_free`], or on the CPU.
+    /// As [`Chain::evaluate`] with a free phase in addition to the modes, turns,
+    /// `[image][illuminated sample]`. The gradient by it, per turn, is written into `slopes`. For a
+    /// chain from [`Chain::open_free`], or on the CPU.
     ///
     /// # Errors
     /// As [`Chain::evaluate`].
@@ -228,8 +234,8 @@ impl Chain {
         }
     }
 
-    /// Why the device selected by `auto` was replaced, or which of several devices are not used, as a sentence; `None` if all is as
-    /// selected.
+    /// Why the device selected by `auto` was replaced, or which of several devices are not used, as
+    /// a sentence; `None` if all is as selected.
     pub fn failure(&self) -> Option<&str> {
         match self {
             Self::Auto(fallback) => fallback.failure(),
@@ -238,7 +244,8 @@ impl Chain {
         }
     }
 
-    /// The chain that computes: the CPU chain if it has replaced a failed device, otherwise this one.
+    /// The chain that computes: the CPU chain if it has replaced a failed device, otherwise this
+    /// one.
     pub fn active_chain(&mut self) -> &mut Self {
         if self.failure().is_none() {
             return self;
@@ -250,9 +257,10 @@ impl Chain {
     }
 }
 
-/// A chain on a device that may fail during a batch: out of memory, reset by its driver, unplugged. A copy of the images is
-/// kept on the host (16 bytes a pixel); after a failure the call is repeated on the CPU in the same precision. All further
-/// calls run on the CPU: a device that failed once is not used again.
+/// A chain on a device that may fail during a batch: out of memory, reset by its driver, unplugged.
+/// A copy of the images is kept on the host (16 bytes a pixel); after a failure the call is
+/// repeated on the CPU in the same precision. All further calls run on the CPU: a device that
+/// failed once is not used again.
 pub struct Fallback {
     chain: Box<Chain>,
     optics: Arc<Optics>,

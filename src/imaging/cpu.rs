@@ -1,5 +1,5 @@
-//! The chain on the CPU: one image per thread at a time, in f64 (the reference) or f32. For a model of several wavelengths,
-//! field and transform are computed for each, and pixels and detector once.
+//! The chain on the CPU: one image per thread at a time, in f64 (the reference) or f32. For a model
+//! of several wavelengths, field and transform are computed for each, and pixels and detector once.
 
 mod free;
 
@@ -52,7 +52,8 @@ struct ColourScratch<T: Polynomial> {
     workspace: Workspace<T>,
 }
 
-/// Field and PSF of the flat wavefront, which are the same for every image: see [`CpuChain::flat_wavefront`]. For one thread.
+/// Field and PSF of the flat wavefront, which are the same for every image: see
+/// [`CpuChain::flat_wavefront`]. For one thread.
 pub struct FlatWavefront<T: Polynomial> {
     scratch: Scratch<T>,
     /// The focal field of each wavelength; an evaluation overwrites the one in `scratch`.
@@ -114,7 +115,8 @@ impl<T: Polynomial> CpuChain<T> {
         Ok(())
     }
 
-    /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that order.
+    /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that
+    /// order.
     ///
     /// # Errors
     /// [`Error::Shape`] where the arrays do not fit the batch and the model.
@@ -132,8 +134,9 @@ impl<T: Polynomial> CpuChain<T> {
             .collect())
     }
 
-    /// Objective and gradient of one image at `coefficients_nm`, into `evaluation` ([`CpuChain::evaluation`]): on this
-    /// thread, without allocation. Bitwise the result of [`CpuChain::evaluate`].
+    /// Objective and gradient of one image at `coefficients_nm`, into `evaluation`
+    /// ([`CpuChain::evaluation`]): on this thread, without allocation. Bitwise the result of
+    /// [`CpuChain::evaluate`].
     ///
     /// # Panics
     /// If an argument was made by a chain of another model.
@@ -148,8 +151,8 @@ impl<T: Polynomial> CpuChain<T> {
         self.evaluate_at_last_psf(image, scratch, evaluation);
     }
 
-    /// As [`CpuChain::evaluate_one`] at the coefficients of the last [`CpuChain::psf_in`] with `scratch`, whose PSF is used
-    /// again: bitwise the same.
+    /// As [`CpuChain::evaluate_one`] at the coefficients of the last [`CpuChain::psf_in`] with
+    /// `scratch`, whose PSF is used again: bitwise the same.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
@@ -165,7 +168,8 @@ impl<T: Polynomial> CpuChain<T> {
         FlatWavefront { focus: scratch.colours.iter().map(|colour| colour.focus.clone()).collect(), scratch }
     }
 
-    /// As [`CpuChain::evaluate_one`] at the flat wavefront, in slightly more than half of the time: bitwise the same.
+    /// As [`CpuChain::evaluate_one`] at the flat wavefront, in slightly more than half of the time:
+    /// bitwise the same.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
@@ -353,9 +357,10 @@ impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
     }
 }
 
-/// Runs `work` compiled for the widest vectors of this CPU. All of it must be inlined into the call; otherwise it is compiled
-/// for the oldest CPU, where each fused multiply-add is a function call. Hence named types with an `inline(always)` body
-/// instead of closures, and the same attribute on the stages.
+/// Runs `work` compiled for the widest vectors of this CPU. All of it must be inlined into the
+/// call; otherwise it is compiled for the oldest CPU, where each fused multiply-add is a function
+/// call. Hence named types with an `inline(always)` body instead of closures, and the same
+/// attribute on the stages.
 #[inline(always)]
 fn vectorised<R>(work: impl NullaryFnOnce<Output = R>) -> R {
     pulp::Arch::new().dispatch(work)

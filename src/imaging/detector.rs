@@ -1,8 +1,10 @@
 //! Detector stage: from the focal field to the objective, and the adjoint.
 //!
-//! `h = |U|²` (with the response of the pixels, where they have an area: see `pixels`), `J = Σ w·(S·h + b − d)²`. Flux S and
-//! background b are given, or minimise J: they enter linearly, so their 2×2 normal equations are solved at each evaluation (variable projection), and by the envelope theorem the gradient
-//! by the other unknowns is that at fixed S and b. The adjoint: `Ū = dJ/dh·U = 2·w·r·S·U`.
+//! `h = |U|²` (with the response of the pixels, where they have an area: see `pixels`),
+//! `J = Σ w·(S·h + b − d)²`. Flux S and background b are given, or minimise J: they enter linearly,
+//! so their 2×2 normal equations are solved at each evaluation (variable projection), and by the
+//! envelope theorem the gradient by the other unknowns is that at fixed S and b. The adjoint:
+//! `Ū = dJ/dh·U = 2·w·r·S·U`.
 
 use super::phasor::Polynomial;
 use crate::{Error, Result};
@@ -68,7 +70,8 @@ impl Exposure {
     /// Checks an exposure against an image of `pixels` a side.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a wrong size, [`Error::Value`] for values that are not finite or negative weights.
+    /// [`Error::Shape`] for a wrong size, [`Error::Value`] for values that are not finite or
+    /// negative weights.
     pub fn check(&self, pixels: usize) -> Result<()> {
         if self.data_e.len() != pixels * pixels || self.weight.len() != pixels * pixels {
             return Err(Error::Shape(format!(
@@ -107,8 +110,8 @@ pub struct LoadedImage<T> {
 
 /// Number of independent partial sums, for vectorisation.
 const LANES: usize = 16;
-/// Number of vectors summed in the precision of the chain before the sums continue in double precision: in f32 the rounding
-/// of so few additions is that of the products.
+/// Number of vectors summed in the precision of the chain before the sums continue in double
+/// precision: in f32 the rounding of so few additions is that of the products.
 const SPAN: usize = 4;
 
 impl<T: Polynomial> LoadedImage<T> {
@@ -157,8 +160,8 @@ impl<T: Polynomial> LoadedImage<T> {
         }
     }
 
-    /// Flux and background for this PSF, into `evaluation`. In f32 the model and the residual are rounded to 6e-8 of the
-    /// brightest pixel; sums over pixels run in double precision.
+    /// Flux and background for this PSF, into `evaluation`. In f32 the model and the residual are
+    /// rounded to 6e-8 of the brightest pixel; sums over pixels run in double precision.
     #[inline(always)]
     pub(super) fn forward(&self, psf: &[T], evaluation: &mut Evaluation) {
         (evaluation.flux_e, evaluation.background_e) = self.photometry(psf);
@@ -187,8 +190,8 @@ impl<T: Polynomial> LoadedImage<T> {
         self.photometry.solve(self.sum_w, self.sum_wd, wh, whh, whd)
     }
 
-    /// Writes the objective at the flux and background of `evaluation` into it, and replaces the focal field by Ū, on the
-    /// row-planar grid.
+    /// Writes the objective at the flux and background of `evaluation` into it, and replaces the
+    /// focal field by Ū, on the row-planar grid.
     #[inline(always)]
     pub(super) fn adjoint(&self, evaluation: &mut Evaluation, psf: &[T], focus: &mut [T], pixels: usize) {
         let (flux, background) = (T::narrow(evaluation.flux_e), T::narrow(evaluation.background_e));
@@ -224,8 +227,8 @@ impl<T: Polynomial> LoadedImage<T> {
 
 /// The adjoint in two steps, for an image whose pixels have an area: their stage is between them.
 impl<T: Polynomial> LoadedImage<T> {
-    /// Writes the objective at the flux and background of `evaluation` into it, and dJ/dh = 2·w·r·S of
-    /// each pixel into `slope`.
+    /// Writes the objective at the flux and background of `evaluation` into it, and dJ/dh = 2·w·r·S
+    /// of each pixel into `slope`.
     #[inline(always)]
     pub(super) fn slope(&self, evaluation: &mut Evaluation, psf: &[T], slope: &mut [T]) {
         let (flux, background) = (T::narrow(evaluation.flux_e), T::narrow(evaluation.background_e));
@@ -279,8 +282,8 @@ fn filled<T: Polynomial>(part: &[T]) -> [T; LANES] {
 }
 
 impl Photometry {
-    /// Flux and background that minimise J, from its sums Σw, Σwd, Σwh, Σwh², Σwhd. The flux is 0 for a PSF
-    /// that is constant within rounding where the weights are positive.
+    /// Flux and background that minimise J, from its sums Σw, Σwd, Σwh, Σwh², Σwhd. The flux is 0
+    /// for a PSF that is constant within rounding where the weights are positive.
     pub fn solve(self, w: f64, wd: f64, wh: f64, whh: f64, whd: f64) -> (f64, f64) {
         match self {
             Photometry::Fixed { flux_e, background_e } => (flux_e, background_e),

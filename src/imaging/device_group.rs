@@ -21,7 +21,8 @@ pub struct DeviceGroup<C> {
 }
 
 impl<C> DeviceGroup<C> {
-    /// Chains of one model, with the names of their devices; `left_out` are devices that cannot run it, and why.
+    /// Chains of one model, with the names of their devices; `left_out` are devices that cannot run
+    /// it, and why.
     ///
     /// # Errors
     /// [`Error::Device`] where there is no chain.

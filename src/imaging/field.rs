@@ -1,16 +1,19 @@
 //! Field stage: from coefficients to the field in the pupil, and the adjoint.
 //!
-//! At the illuminated samples p, with the smooth phase ψ (diversity and smooth modes) and the segments' phasors,
+//! At the illuminated samples p, with the smooth phase ψ (diversity and smooth modes) and the
+//! segments' phasors,
 //!
 //! `E_p = P_p·a_p`,  `P_p = exp(2πi·ψ_p)`,  `a_p = Σ_s w_ps·q_s`,  `q_s = exp(2πi·c_s/λ)`.
 //!
-//! Summing phasors rather than phases keeps pistons exact at any size on a band-limited pupil, where a sample belongs
-//! to several segments. The adjoint, from Ē (so that dJ = 2 Re Σ Ē*·dE), with `g = Ē·P*`:
+//! Summing phasors rather than phases keeps pistons exact at any size on a band-limited pupil,
+//! where a sample belongs to several segments. The adjoint, from Ē (so that dJ = 2 Re Σ Ē*·dE),
+//! with `g = Ē·P*`:
 //!
-//! `dJ/dψ_p = 4π·Im(g_p·a_p*)`,  `dJ/dc_s = (4π/λ)·Im(q_s*·Σ_p w_ps·g_p)`,  `dJ/dy_j = Σ_p B_jp·dJ/dψ_p`.
+//! `dJ/dψ_p = 4π·Im(g_p·a_p*)`,  `dJ/dc_s = (4π/λ)·Im(q_s*·Σ_p w_ps·g_p)`,
+//! `dJ/dy_j = Σ_p B_jp·dJ/dψ_p`.
 //!
-//! The grid is processed in blocks of neighbouring samples of a row: phase, phasor, aperture and field of a block stay in
-//! vector registers, and the weights of its segments are read in order.
+//! The grid is processed in blocks of neighbouring samples of a row: phase, phasor, aperture and
+//! field of a block stay in vector registers, and the weights of its segments are read in order.
 
 use super::optics::{Mode, Optics};
 use super::phasor::{Polynomial, phasor};
@@ -54,8 +57,8 @@ pub(super) struct FieldState<T> {
     /// Amplitude times exp(2πi·piston), re and im.
     piston: Vec<[T; 2]>,
     smooth: Vec<T>,
-    /// Sums over the samples of the derivatives by `pose`, in lanes (`Σ w·g` for segments that do not tilt), and by
-    /// `smooth`.
+    /// Sums over the samples of the derivatives by `pose`, in lanes (`Σ w·g` for segments that do
+    /// not tilt), and by `smooth`.
     pose_bar: Vec<[Lanes<T>; 3]>,
     smooth_bar: Vec<f64>,
     smooth_scratch: SmoothScratch<T>,
@@ -108,7 +111,8 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Writes the coefficients (nm) into the state, as poses of the segments and amounts of the smooth modes.
+    /// Writes the coefficients (nm) into the state, as poses of the segments and amounts of the
+    /// smooth modes.
     #[inline(always)]
     fn set(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>) {
         state.pose.fill([T::zero(); 3]);
@@ -127,7 +131,8 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Coefficients (nm) to the field on the row-planar pupil grid. `grid` must be zero outside the illuminated samples.
+    /// Coefficients (nm) to the field on the row-planar pupil grid. `grid` must be zero outside the
+    /// illuminated samples.
     #[inline(always)]
     pub(super) fn forward(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
         self.set(coefficients_nm, state);
@@ -135,7 +140,8 @@ impl<T: Polynomial> Field<T> {
         self.field(state, grid);
     }
 
-    /// The same with a free phase at each illuminated sample added, turns at the wavelength of the model.
+    /// The same with a free phase at each illuminated sample added, turns at the wavelength of the
+    /// model.
     #[inline(always)]
     pub(super) fn forward_free(
         &self,
@@ -179,7 +185,8 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Adds to `gradient` the derivative per nm of each coefficient, from Ē on the row-planar pupil grid.
+    /// Adds to `gradient` the derivative per nm of each coefficient, from Ē on the row-planar pupil
+    /// grid.
     #[inline(always)]
     pub(super) fn adjoint(&self, grid_bar: &[T], state: &mut FieldState<T>, gradient: &mut [f64]) {
         state.pose_bar.fill([[T::zero(); BLOCK]; 3]);
@@ -229,20 +236,22 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Adds dJ/dψ at each illuminated sample, per turn at the wavelength of the model, from the last [`Field::adjoint`].
+    /// Adds dJ/dψ at each illuminated sample, per turn at the wavelength of the model, from the
+    /// last [`Field::adjoint`].
     #[inline(always)]
     pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
         let factor = T::narrow(4.0 * std::f64::consts::PI) * self.turns_of_free;
         gradient.iter_mut().zip(&self.illuminated).for_each(|(out, &place)| *out += factor * state.turns_bar[place]);
     }
 
-    /// Whether the amplitudes of the segments have an effect: not where segments tilt, whose phasors are computed per sample.
+    /// Whether the amplitudes of the segments have an effect: not where segments tilt, whose
+    /// phasors are computed per sample.
     pub(super) fn has_amplitudes(&self) -> bool {
         self.segment_blocks.slopes.is_none()
     }
 
-    /// Adds dJ/d ln of each segment's amplitude, from the last [`Field::adjoint`]: `2·Re(q_s*·Σ w·g)`, of which the piston's
-    /// derivative is the imaginary part.
+    /// Adds dJ/d ln of each segment's amplitude, from the last [`Field::adjoint`]:
+    /// `2·Re(q_s*·Σ w·g)`, of which the piston's derivative is the imaginary part.
     pub(super) fn amplitude_gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.widen()).sum::<f64>();
         for ((gradient, [q_re, q_im]), [re, im, _]) in gradient.iter_mut().zip(&state.piston).zip(&state.pose_bar) {
@@ -250,7 +259,8 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.
+    /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must
+    /// be zero elsewhere.
     pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
         let tau = T::narrow(std::f64::consts::TAU);
         let stride = self.samples.next_multiple_of(BLOCK);

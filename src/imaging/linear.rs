@@ -1,8 +1,10 @@
-//! Linearisation of the forward model: the PSF and its derivatives at one point, some rows of pixels at a time.
+//! Linearisation of the forward model: the PSF and its derivatives at one point, some rows of
+//! pixels at a time.
 //!
-//! The derivative by a segment motion is a field on a small box of the pupil. Its transform is a complex product over that
-//! box, with `8·b·m·(b + v)` operations for b×b samples and v rows of m pixels; the whole pupil of n×n samples takes
-//! `4·n·m·(n + m)`. For one of 800 segments that is a thirtieth, and the cost of some rows is proportional to their number.
+//! The derivative by a segment motion is a field on a small box of the pupil. Its transform is a
+//! complex product over that box, with `8·b·m·(b + v)` operations for b×b samples and v rows of m
+//! pixels; the whole pupil of n×n samples takes `4·n·m·(n + m)`. For one of 800 segments that is a
+//! thirtieth, and the cost of some rows is proportional to their number.
 
 use super::cpu::CpuChain;
 use super::field::Field;
@@ -29,7 +31,8 @@ struct ColourState<'a> {
     field: &'a Field<f64>,
     state: super::field::FieldState<f64>,
     transform: Transform<f64>,
-    /// The focal field, row-planar. By the same transform as the derivatives: others differ by a phase.
+    /// The focal field, row-planar. By the same transform as the derivatives: others differ by a
+    /// phase.
     focus: Vec<f64>,
     waves: Waves,
     samples: usize,
@@ -94,7 +97,8 @@ impl<'a> ColourState<'a> {
     ) {
         let (n, m) = (self.samples, self.pixels);
         let (height, count) = (ys.len(), rows.len());
-        // The derivative is written into the whole pupil; only the box is changed, and cleared afterwards.
+        // The derivative is written into the whole pupil; only the box is changed, and cleared
+        // afterwards.
         self.field.derivative(mode, &self.state, &mut buffers.pupil);
         let samples = Matrix::from_rows(&buffers.pupil, n, 2 * n);
         let [d_re, d_im] = [0, n].map(|plane| samples.part(ys.clone(), plane + xs.start..plane + xs.end));
@@ -146,8 +150,8 @@ impl LinearModel<'_> {
         self.chain.optics().sampling().pixels
     }
 
-    /// Writes the derivatives of some rows of pixels by every coefficient, per nm, into `out`: `[mode, pixel]`, with the pixels
-    /// of those rows in order.
+    /// Writes the derivatives of some rows of pixels by every coefficient, per nm, into `out`:
+    /// `[mode, pixel]`, with the pixels of those rows in order.
     ///
     /// # Panics
     /// If `out` has another shape.
@@ -174,7 +178,8 @@ impl LinearModel<'_> {
         );
     }
 
-    /// Writes the derivative of the intensity at the centres of some rows of pixels by one coefficient into `out`.
+    /// Writes the derivative of the intensity at the centres of some rows of pixels by one
+    /// coefficient into `out`.
     fn derivative(&self, mode: Mode, rows: &Range<usize>, buffers: &mut ThreadBuffers, mut out: ArrayViewMut1<f64>) {
         out.fill(0.0);
         self.colours.iter().for_each(|colour| match mode {
@@ -237,7 +242,8 @@ impl Waves {
         let (n, m) = (sampling.samples, sampling.pixels);
         let angle = |at: usize| {
             let (x, u) = ((at / m) as f64 - (n as f64 - 1.0) / 2.0, (at % m) as f64 - m as f64 / 2.0);
-            // Reduced to one turn before it becomes an angle, so that high harmonics keep full precision.
+            // Reduced to one turn before it becomes an angle, so that high harmonics keep full
+            // precision.
             let turns = sampling.step() * x * u;
             std::f64::consts::TAU * (turns - turns.round())
         };
@@ -270,8 +276,8 @@ mod tests {
     use ndarray::Array2;
     use std::sync::Arc;
 
-    /// Nine segments in a square of 27×27 samples of 30, each of which overlaps its neighbours by one sample, and a smooth mode
-    /// over all of them.
+    /// Nine segments in a square of 27×27 samples of 30, each of which overlaps its neighbours by
+    /// one sample, and a smooth mode over all of them.
     fn optics(tilts: bool, colours: &[Colour], pixel: [PixelResponse; 2]) -> Arc<Optics> {
         let (n, m, side) = (30, 14, 9);
         let (mut illuminated, mut offsets, mut segment, mut weight) = (Vec::new(), vec![0], Vec::new(), Vec::new());
@@ -333,7 +339,8 @@ mod tests {
             assert!((0..9).all(|segment| linear.is_small(segment)), "the test needs segments with small boxes");
             let (psf, wanted) = chain.jacobian(at.view());
             let (m, peak) = (linear.pixels(), wanted.iter().fold(0.0f64, |m, v| m.max(v.abs())));
-            // Sums of some thousand products, in another order: 1e-13 of the largest leaves an order of magnitude.
+            // Sums of some thousand products, in another order: 1e-13 of the largest leaves an
+            // order of magnitude.
             let same = |a: f64, b: f64, scale: f64| (a - b).abs() < 1e-13 * scale;
             let brightest = psf.iter().copied().fold(0.0, f64::max);
             assert!(linear.psf().iter().zip(&psf).all(|(a, b)| same(*a, *b, brightest)));

@@ -1,12 +1,13 @@
-//! The forward model: from mode coefficients to the objective (χ² of an image) and its exact gradient, stage by stage.
+//! The forward model: from mode coefficients to the objective (χ² of an image) and its exact
+//! gradient, stage by stage.
 //!
 //! ```text
 //!  coefficients ──field──▶ pupil field ──fourier──▶ focal field ──detector──▶ objective
 //!  gradient     ◀─field── pupil field̄ ◀─fourier── focal field̄ ◀─detector──┘
 //! ```
 //!
-//! Each stage has a file with its forward step and its adjoint. [`Chain`] composes them and selects device and precision.
-//! The f64 CPU chain is the reference, against which all others are tested.
+//! Each stage has a file with its forward step and its adjoint. [`Chain`] composes them and selects
+//! device and precision. The f64 CPU chain is the reference, against which all others are tested.
 
 mod chain;
 mod cpu;

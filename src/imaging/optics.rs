@@ -1,4 +1,5 @@
-//! The immutable optical model of one scene, in double precision, from which every chain is constructed.
+//! The immutable optical model of one scene, in double precision, from which every chain is
+//! constructed.
 
 use crate::fourier::{PixelResponse, Sampling};
 use crate::modes::SeparableBasis;
@@ -46,8 +47,8 @@ pub struct OpticsParts {
     pub pixel: [PixelResponse; 2],
     /// Weights of the segments in the illuminated samples.
     pub weights: SegmentWeights,
-    /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over the segment; required
-    /// where a mode is the tip or tilt of a segment.
+    /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over
+    /// the segment; required where a mode is the tip or tilt of a segment.
     pub slopes: Option<(Vec<f64>, Vec<f64>)>,
     /// Diversity at the illuminated samples, nm.
     pub diversity_nm: Vec<f64>,
@@ -59,7 +60,8 @@ pub struct OpticsParts {
     pub modes: Vec<Mode>,
 }
 
-/// The model of one scene: pupil, diversity, modes, sampling. Immutable, and shared by all chains and threads.
+/// The model of one scene: pupil, diversity, modes, sampling. Immutable, and shared by all chains
+/// and threads.
 #[derive(Debug, Clone)]
 pub struct Optics {
     parts: OpticsParts,
@@ -166,8 +168,8 @@ impl Optics {
         self.parts.sampling
     }
 
-    /// The monochromatic models of all wavelengths, whose images are added. A pixel is a fixed angle: in units of λ/D it is
-    /// smaller for a longer λ.
+    /// The monochromatic models of all wavelengths, whose images are added. A pixel is a fixed
+    /// angle: in units of λ/D it is smaller for a longer λ.
     pub fn colours(&self) -> Vec<Self> {
         let monochromatic = |&colour: &Colour| {
             let Sampling { samples, pixels, pixels_per_lambda_over_d } = self.parts.sampling;
@@ -195,18 +197,20 @@ impl Optics {
         self.parts.colours == [Colour::MONOCHROMATIC]
     }
 
-    /// The wavelength that this model represents in a polychromatic one; [`Colour::MONOCHROMATIC`] for a complete model.
+    /// The wavelength that this model represents in a polychromatic one; [`Colour::MONOCHROMATIC`]
+    /// for a complete model.
     pub(super) fn colour(&self) -> Colour {
         self.colour
     }
 
-    /// Factor of |U|² with which the PSF sums to the flux fraction over an unbounded detector: by Parseval, the fraction times
-    /// 1/((n·q)²·ΣA²).
+    /// Factor of |U|² with which the PSF sums to the flux fraction over an unbounded detector: by
+    /// Parseval, the fraction times 1/((n·q)²·ΣA²).
     pub fn intensity_scale(&self) -> f64 {
         self.colour.share * self.parts.sampling.step().powi(2) / self.parts.weights.energy
     }
 
-    /// The diversity in turns, reduced to [−½, ½]: the same field, without loss of accuracy in single precision.
+    /// The diversity in turns, reduced to [−½, ½]: the same field, without loss of accuracy in
+    /// single precision.
     pub fn diversity_turns(&self) -> Vec<f64> {
         let turns = |nm: &f64| nm / self.parts.wavelength_nm;
         self.parts.diversity_nm.iter().map(turns).map(|t| t - t.round()).collect()

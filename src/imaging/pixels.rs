@@ -1,8 +1,9 @@
 //! Pixel stage: the mean of the intensity over the area of each pixel, and its adjoint.
 //!
-//! The image has no frequency beyond 1/q cycles a pixel at q pixels per λ/D, so for q ≥ 2 the response of a pixel is a convolution
-//! of the samples: the first `REACH` terms on either side along each axis. Beyond the border of the image its mirror image
-//! continues it, with which the convolution is a symmetric matrix: it is its own adjoint, and keeps the sum.
+//! The image has no frequency beyond 1/q cycles a pixel at q pixels per λ/D, so for q ≥ 2 the
+//! response of a pixel is a convolution of the samples: the first `REACH` terms on either side
+//! along each axis. Beyond the border of the image its mirror image continues it, with which the
+//! convolution is a symmetric matrix: it is its own adjoint, and keeps the sum.
 
 use super::optics::Optics;
 use super::phasor::Polynomial;
@@ -11,8 +12,9 @@ use cophase_numerics::systems::solve;
 use ndarray::Array2;
 use std::ops::Range;
 
-/// Terms of the convolution on either side. Of Keck's spot of 1.5 waves at q = 2, on pixels without gaps, 8 terms are 4e-5 off, 12 are 2e-5
-/// (RMS of the difference over that of the image), which is a twentieth of the error of the pupil's sampling.
+/// Terms of the convolution on either side. Of Keck's spot of 1.5 waves at q = 2, on pixels without
+/// gaps, 8 terms are 4e-5 off, 12 are 2e-5 (RMS of the difference over that of the image), which is
+/// a twentieth of the error of the pupil's sampling.
 const REACH: usize = 12;
 
 /// Least weight of a frequency in the fit of the convolution, relative to that of frequency 0.
@@ -21,7 +23,8 @@ const LEAST_CONTRAST: f64 = 1e-3;
 /// Frequencies in the fit of the convolution.
 const FREQUENCIES: usize = 512;
 
-/// Terms of a symmetric convolution: of the pixel itself, and of those at a distance of 1, 2, … on both sides.
+/// Terms of a symmetric convolution: of the pixel itself, and of those at a distance of 1, 2, … on
+/// both sides.
 type Terms<T> = [T; REACH + 1];
 
 /// Convolution of an image with the response of its pixels.
@@ -56,7 +59,8 @@ impl<T: Polynomial> Pixels<T> {
         rows.start.saturating_sub(REACH)..self.pixels.min(rows.end + REACH)
     }
 
-    /// Gives `out` each row of the convolution in turn, from the image's rows [`Pixels::needed`], which it overwrites.
+    /// Gives `out` each row of the convolution in turn, from the image's rows [`Pixels::needed`],
+    /// which it overwrites.
     pub(super) fn apply_to_rows(
         &self,
         needed: &mut [T],
@@ -91,8 +95,8 @@ impl<T: Polynomial> Pixels<T> {
         if inside.is_empty() {
             return;
         }
-        // Without a mirror the loop over the pixels is vectorised. Products are not fused with sums: where this is not compiled for
-        // vectors, that is a function call.
+        // Without a mirror the loop over the pixels is vectorised. Products are not fused with
+        // sums: where this is not compiled for vectors, that is a function call.
         for (x, out) in inside.clone().zip(&mut out[inside.clone()]) {
             *out = self.along_x[0] * line[x];
         }
@@ -105,7 +109,8 @@ impl<T: Polynomial> Pixels<T> {
         }
     }
 
-    /// Row `y` of the convolution along y of `lines`, the first of which is row `first` of the image.
+    /// Row `y` of the convolution along y of `lines`, the first of which is row `first` of the
+    /// image.
     #[inline(always)]
     fn convolve_columns(&self, lines: &[T], first: usize, y: usize, out: &mut [T]) {
         let m = self.pixels;
@@ -149,8 +154,9 @@ pub(super) fn pixel_terms(optics: &Optics) -> Option<[Vec<f64>; 2]> {
     convolution(optics).map(|axes| axes.map(|terms| terms.to_vec()))
 }
 
-/// Terms of the convolution whose transfer function a₀ + 2 Σ aₖ cos(2πkf) is that of `response`: least squares over the
-/// frequencies f, with the contrast of a circular aperture of this cut-off as their weights, and a sum of 1.
+/// Terms of the convolution whose transfer function a₀ + 2 Σ aₖ cos(2πkf) is that of `response`:
+/// least squares over the frequencies f, with the contrast of a circular aperture of this cut-off
+/// as their weights, and a sum of 1.
 fn terms(response: PixelResponse, cut_off: f64) -> Terms<f64> {
     // With a₀ = 1 − 2 Σ aₖ the unknowns are those of 2 (cos(2πkf) − 1).
     let term = |k: usize, f: f64| 2.0 * ((std::f64::consts::TAU * (k + 1) as f64 * f).cos() - 1.0);
@@ -189,12 +195,14 @@ mod tests {
         PixelResponse { width_pixels, diffusion_pixels: 0.0 }
     }
 
-    /// The transfer function of the convolution is that of the pixel where the aperture has contrast.
+    /// The transfer function of the convolution is that of the pixel where the aperture has
+    /// contrast.
     #[test]
     fn the_terms_have_the_transfer_function_of_the_pixel() {
         let diffused = PixelResponse { width_pixels: 1.0, diffusion_pixels: 0.6 };
-        // The derivative of a square's transfer function is not 0 at half a cycle, where that of a convolution is: the sampling
-        // decides how much contrast there is. Charge that diffuses leaves nothing there.
+        // The derivative of a square's transfer function is not 0 at half a cycle, where that of a
+        // convolution is: the sampling decides how much contrast there is. Charge that diffuses
+        // leaves nothing there.
         for (response, q, bound) in
             [(square(1.0), 2.0, 1e-4), (square(0.5), 2.0, 5e-5), (square(1.0), 2.5, 2e-5), (diffused, 2.0, 1e-4)]
         {

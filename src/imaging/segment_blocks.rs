@@ -1,10 +1,12 @@
-//! The segments in each block of the pupil grid: their weights, their contribution to the aperture, and the adjoint.
+//! The segments in each block of the pupil grid: their weights, their contribution to the aperture,
+//! and the adjoint.
 
 use super::optics::Optics;
 use super::phasor::{Polynomial, phasor};
 use std::ops::Range;
 
-/// Samples per block: one vector of the widest registers in f32, two in f64. The rows of the grid are padded to whole blocks.
+/// Samples per block: one vector of the widest registers in f32, two in f64. The rows of the grid
+/// are padded to whole blocks.
 pub(super) const BLOCK: usize = 16;
 
 /// One number per sample of a block.
@@ -24,7 +26,8 @@ pub(super) struct SegmentBlocks<T> {
 }
 
 impl<T: Polynomial> SegmentBlocks<T> {
-    /// The entries in `blocks` blocks; `illuminated` are the flat indices of the illuminated samples.
+    /// The entries in `blocks` blocks; `illuminated` are the flat indices of the illuminated
+    /// samples.
     pub(super) fn new(optics: &Optics, illuminated: &[usize], blocks: usize) -> Self {
         let parts = optics.parts();
         let weights = &parts.weights;
@@ -97,9 +100,9 @@ impl<T: Polynomial> SegmentBlocks<T> {
         [re, im]
     }
 
-    /// Adds the contributions of a block, g = Ē·P*, to the sums of its segments: `Σ w·g` if segments do not tilt, and
-    /// `Σ w·Im(q*·g)·(1, x, y)` if they do. A lane sums one sample in sixteen of a segment, some tens or hundreds: in f32
-    /// its rounding is that of a few products.
+    /// Adds the contributions of a block, g = Ē·P*, to the sums of its segments: `Σ w·g` if
+    /// segments do not tilt, and `Σ w·Im(q*·g)·(1, x, y)` if they do. A lane sums one sample in
+    /// sixteen of a segment, some tens or hundreds: in f32 its rounding is that of a few products.
     #[inline(always)]
     pub(super) fn collect(
         &self,

@@ -1,9 +1,10 @@
 //! Phase of the smooth modes at the illuminated samples, and the adjoint.
 //!
-//! There are two algorithms. With maps, one number per mode and illuminated sample is read from memory, twice per evaluation.
-//! Where the modes are sums of products of functions of x and y, three small matrix products over the whole grid are used,
-//! whose tables stay in the second-level cache: for 86 modes on 108×108 samples 0.4 instead of 0.65 million multiply-adds in
-//! each direction, and 0.4 instead of 5.2 MB.
+//! There are two algorithms. With maps, one number per mode and illuminated sample is read from
+//! memory, twice per evaluation. Where the modes are sums of products of functions of x and y,
+//! three small matrix products over the whole grid are used, whose tables stay in the second-level
+//! cache: for 86 modes on 108×108 samples 0.4 instead of 0.65 million multiply-adds in each
+//! direction, and 0.4 instead of 5.2 MB.
 
 use super::optics::Optics;
 use super::phasor::Polynomial;
@@ -12,7 +13,8 @@ use crate::fourier::{Factors, panel_len};
 use crate::modes::SeparableBasis;
 use ndarray::{Array2, s};
 
-/// The smooth modes in the precision of a chain, turns per nm, on a grid whose rows are padded to whole blocks.
+/// The smooth modes in the precision of a chain, turns per nm, on a grid whose rows are padded to
+/// whole blocks.
 pub(super) struct SmoothModes<T> {
     illuminated: usize,
     /// Runs of neighbouring illuminated samples: flat index of the first on the grid, and length.
@@ -28,7 +30,8 @@ struct Products<T> {
     stride: usize,
     /// Number of functions of each group.
     groups: Vec<usize>,
-    /// All groups: `[function][x]` with zeros up to the end of the last block, `[function][y]`, `[y][function]`.
+    /// All groups: `[function][x]` with zeros up to the end of the last block, `[function][y]`,
+    /// `[y][function]`.
     rows: Vec<T>,
     lines: Vec<T>,
     across: Vec<T>,
@@ -52,9 +55,10 @@ pub(super) struct SmoothScratch<T> {
 const SLICE: usize = 256;
 /// Number of independent partial sums of a reduction, for vectorisation.
 const LANES: usize = 32;
-/// Value of a function, relative to the largest and in units of the rounding of 1, below which it is taken for 0. Influence functions fall as
-/// Gaussians, a third of the pupil away to subnormal numbers in f32, with which some processors are slow: on a Xeon an evaluation took twice as
-/// long. Sums of some hundred products change by their rounding.
+/// Value of a function, relative to the largest and in units of the rounding of 1, below which it
+/// is taken for 0. Influence functions fall as Gaussians, a third of the pupil away to subnormal
+/// numbers in f32, with which some processors are slow: on a Xeon an evaluation took twice as long.
+/// Sums of some hundred products change by their rounding.
 const NEGLIGIBLE: f64 = 1.0 / 64.0;
 
 impl<T: Polynomial> SmoothModes<T> {
@@ -94,7 +98,8 @@ impl<T: Polynomial> SmoothModes<T> {
         SmoothScratch { values: zeros(values), middle: zeros(middle), panel: zeros(panel) }
     }
 
-    /// Writes the phase of `amounts_nm` at the illuminated samples into `turns`; values elsewhere are undefined.
+    /// Writes the phase of `amounts_nm` at the illuminated samples into `turns`; values elsewhere
+    /// are undefined.
     #[inline(always)]
     pub(super) fn phase(&self, amounts_nm: &[T], turns: &mut [T], scratch: &mut SmoothScratch<T>) {
         if let Some(products) = &self.products {
@@ -208,8 +213,8 @@ impl<T: Polynomial> Products<T> {
     }
 }
 
-/// The runs of neighbours in a row among the ascending flat indices of a grid of `samples` a side: their start on the grid
-/// of whole blocks, and their length.
+/// The runs of neighbours in a row among the ascending flat indices of a grid of `samples` a side:
+/// their start on the grid of whole blocks, and their length.
 fn strips(places: &[u32], samples: usize) -> Vec<(usize, usize)> {
     let stride = samples.next_multiple_of(BLOCK);
     let mut strips = Vec::<(usize, usize)>::new();
@@ -225,7 +230,8 @@ fn strips(places: &[u32], samples: usize) -> Vec<(usize, usize)> {
     strips
 }
 
-/// Sum of products, in `LANES` partial sums that are added in a fixed order: the same bits at any vector width.
+/// Sum of products, in `LANES` partial sums that are added in a fixed order: the same bits at any
+/// vector width.
 #[inline(always)]
 fn dot<T: Polynomial>(a: &[T], b: &[T]) -> f64 {
     let mut lanes = [T::zero(); LANES];

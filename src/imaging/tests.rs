@@ -1,5 +1,6 @@
-//! Gradient against central differences, and Jacobian against the adjoint, on a small case without symmetry: overlapping
-//! segment weights, an off-centre pupil, bad pixels, images wider and narrower than the pupil.
+//! Gradient against central differences, and Jacobian against the adjoint, on a small case without
+//! symmetry: overlapping segment weights, an off-centre pupil, bad pixels, images wider and
+//! narrower than the pupil.
 
 #[cfg(all(feature = "opencl", debug_assertions))]
 mod fallback;
@@ -106,8 +107,9 @@ fn the_gradient_is_the_central_difference() {
             chain.load(&exposures(pixels)).unwrap();
             let c = coefficients(3, optics.modes());
             let at = chain.evaluate(&[0, 1, 2], c.view()).unwrap();
-            // Truncation of the central difference is (2πh/λ·mode)²/6 ≈ 1e-9 of the gradient's size at h = 0.01 nm (modes
-            // reach 2); rounding is 2e-16·J/h, about 1e-9 of the gradient too. 1e-6 of its norm bounds both.
+            // Truncation of the central difference is (2πh/λ·mode)²/6 ≈ 1e-9 of the gradient's size
+            // at h = 0.01 nm (modes reach 2); rounding is 2e-16·J/h, about 1e-9 of the gradient
+            // too. 1e-6 of its norm bounds both.
             let h = 0.01;
             for (image, at) in at.iter().enumerate() {
                 let norm = Array1::from(at.gradient.clone()).mapv(|g| g * g).sum().sqrt();
@@ -148,7 +150,8 @@ fn jacobian_and_gradient_are_adjoint(optics: Arc<Optics>) {
             })
             .collect();
         let gradient = jacobian.dot(&residual);
-        // Sums of 196 products with both signs: 1e-16 times the sum of sizes; 1e-12 of the norm leaves a wide margin.
+        // Sums of 196 products with both signs: 1e-16 times the sum of sizes; 1e-12 of the norm
+        // leaves a wide margin.
         let norm = gradient.mapv(|g| g * g).sum().sqrt();
         for (a, b) in gradient.iter().zip(&evaluation.gradient) {
             assert!((a - b).abs() < 1e-12 * norm, "{a} {b}");
@@ -256,7 +259,8 @@ fn images_of_several_wavelengths_add() {
 /// Pixels with an area have the mean of a finely sampled PSF over it.
 #[test]
 fn pixels_gather_light_over_their_area() {
-    // 31² points a pixel: their mean differs from the integral by (π/31)²/24 = 4e-4 of the highest frequencies.
+    // 31² points a pixel: their mean differs from the integral by (π/31)²/24 = 4e-4 of the highest
+    // frequencies.
     let (pixels, points) = (40, 31);
     let fine = optics(24, pixels * points, 2.0 * points as f64);
     let coarse = Sampling::new(24, pixels, 2.0).unwrap();
@@ -272,13 +276,15 @@ fn pixels_gather_light_over_their_area() {
         // The flux in a sample goes with its area.
         rows.map(|row| fine[row..row + points].iter().sum::<f64>()).sum::<f64>()
     };
-    // Beyond the reach of the convolution from the border, where the image is continued by its mirror image.
+    // Beyond the reach of the convolution from the border, where the image is continued by its
+    // mirror image.
     let inside = || (12..28).flat_map(|v| (12..28).map(move |u| (v, u)));
     let rms = |of: &dyn Fn(usize, usize) -> f64| inside().map(|(v, u)| of(v, u).powi(2)).sum::<f64>().sqrt();
     let error = rms(&|v, u| area[v * pixels + u] - mean(v, u)) / rms(&|v, u| mean(v, u));
     let blur = rms(&|v, u| centres[v * pixels + u] - mean(v, u)) / rms(&|v, u| mean(v, u));
     println!("error {error:.1e}, of pixels that are points {blur:.1e}");
-    // A square pupil has more contrast at high frequencies than the circle for which the convolution is computed: some 4e-4.
+    // A square pupil has more contrast at high frequencies than the circle for which the
+    // convolution is computed: some 4e-4.
     assert!(error < 1e-3 && blur > 0.05, "{error:e} {blur:e}");
 }
 

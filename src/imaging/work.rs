@@ -1,7 +1,8 @@
-//! Operations and memory traffic of one evaluation, from the sizes of the model: a lower bound of its cost.
+//! Operations and memory traffic of one evaluation, from the sizes of the model: a lower bound of
+//! its cost.
 //!
-//! Per image, with n samples and m pixels a side, L illuminated samples, E entries of segments in them, M smooth modes, in
-//! numbers of b bytes, in a batch of B images:
+//! Per image, with n samples and m pixels a side, L illuminated samples, E entries of segments in
+//! them, M smooth modes, in numbers of b bytes, in a batch of B images:
 //!
 //! | part | operations |
 //! |---|---|
@@ -13,9 +14,10 @@
 //! | segments | 8 E; if they tilt, 16 E and two sines and cosines for each |
 //! | pixels: intensity, sums, residual, source | 30 m² |
 //!
-//! With several wavelengths, all parts but the pixels are counted once per wavelength. Bytes from memory: data and weights,
-//! 2 m² b; the basis, L M b/B, read once per batch; coefficients and gradient, 16 per mode. Padding, repeated computations
-//! of a variant, and the area of pixels are not counted.
+//! With several wavelengths, all parts but the pixels are counted once per wavelength. Bytes from
+//! memory: data and weights, 2 m² b; the basis, L M b/B, read once per batch; coefficients and
+//! gradient, 16 per mode. Padding, repeated computations of a variant, and the area of pixels are
+//! not counted.
 
 use super::optics::Optics;
 use crate::device::Precision;
@@ -105,7 +107,8 @@ mod tests {
             colours: 1,
         };
         let work = matrix.work(Precision::F32, 200);
-        // 41.472 M of products, 2.376 M of modes, 0.45 M of fields, 0.072 M of segments, 1.728 M of pixels.
+        // 41.472 M of products, 2.376 M of modes, 0.45 M of fields, 0.072 M of segments, 1.728 M of
+        // pixels.
         assert_eq!(work.flops, 46.098e6);
         // 460,800 of images, 11,880 of the basis, 1,632 of coefficients and gradient.
         assert_eq!(work.bytes, 474_312.0);

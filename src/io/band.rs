@@ -1,16 +1,19 @@
-//! Photometric bands that the name of a filter states: the broad bands of the optical and near infrared.
+//! Photometric bands that the name of a filter states: the broad bands of the optical and near
+//! infrared.
 //!
-//! Only a name that is unambiguously a broad band counts: `H2`, `Hcont`, `Br_gamma` and `PK50_1.5` are none, and neither are names that
-//! mean different bands in different systems, such as `y` (Strömgren's at 547 nm) or `L` (luminance).
+//! Only a name that is unambiguously a broad band counts: `H2`, `Hcont`, `Br_gamma` and `PK50_1.5`
+//! are none, and neither are names that mean different bands in different systems, such as `y`
+//! (Strömgren's at 547 nm) or `L` (luminance).
 
-/// Band of a filter: all wavelengths within `tolerance`, relative to the larger of the two, of its centre.
+/// Band of a filter: all wavelengths within `tolerance`, relative to the larger of the two, of its
+/// centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Band {
     names: &'static [&'static str],
     /// Centre, nm.
     pub centre_nm: f64,
-    /// Largest relative distance from the centre. The half-power points are at 5 to 10 %; more is allowed, because spellings and
-    /// systems differ, and so is a narrow filter near the edge.
+    /// Largest relative distance from the centre. The half-power points are at 5 to 10 %; more is
+    /// allowed, because spellings and systems differ, and so is a narrow filter near the edge.
     pub tolerance: f64,
 }
 
@@ -23,8 +26,9 @@ const fn optical(names: &'static [&'static str], centre_nm: f64) -> Band {
     Band { names, centre_nm, tolerance: 0.2 }
 }
 
-/// Names in lower case, without the separators and the words of [`SYSTEMS`]. Centres: Tokunaga & Vacca 2005 (PASP 117, 421) for the
-/// Mauna Kea filters, with which 2MASS and NIRC2 agree within 2 %; Bessell 2005 (ARA&A 43, 293) for the optical.
+/// Names in lower case, without the separators and the words of [`SYSTEMS`]. Centres: Tokunaga &
+/// Vacca 2005 (PASP 117, 421) for the Mauna Kea filters, with which 2MASS and NIRC2 agree within 2
+/// %; Bessell 2005 (ARA&A 43, 293) for the optical.
 const BANDS: [Band; 15] = [
     optical(&["u", "u'"], 360.0),
     optical(&["b"], 440.0),
@@ -53,7 +57,8 @@ const SYSTEMS: [&str; 13] = [
 ];
 
 impl Band {
-    /// The band that `filter` names, such as `K'`, `H (MKO)` or `Kp + clear`; `None` where it names none, or two.
+    /// The band that `filter` names, such as `K'`, `H (MKO)` or `Kp + clear`; `None` where it names
+    /// none, or two.
     pub(super) fn named(filter: &str) -> Option<Self> {
         let mut bands = filter.split(['+', ',', ';', '/', '&', '|']).filter_map(Self::of_one);
         let band = bands.next()?;

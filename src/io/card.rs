@@ -1,7 +1,8 @@
 //! One 80-byte header card: lenient parsing, and the standard's fixed format for writing.
 //!
-//! FITS Standard 4.0, section 4: a keyword of at most 8 characters `A-Z 0-9 - _` in columns 1 to 8, `= ` in columns 9
-//! and 10, then a value; integers and logicals of the mandatory cards are right-justified to column 30.
+//! FITS Standard 4.0, section 4: a keyword of at most 8 characters `A-Z 0-9 - _` in columns 1 to 8,
+//! `= ` in columns 9 and 10, then a value; integers and logicals of the mandatory cards are
+//! right-justified to column 30.
 
 /// Bytes in a FITS block: headers and data are padded to a multiple of it.
 pub(super) const BLOCK: u64 = 2880;
@@ -23,7 +24,8 @@ pub(super) fn is_keyword(name: &[u8]) -> bool {
         && name.iter().all(|b| b.is_ascii_uppercase() || b.is_ascii_digit() || matches!(b, b'-' | b'_'))
 }
 
-/// What a card of ESO's convention begins with, whose keyword is of several words: `HIERARCH ESO TEL PARANG START = 12.3`.
+/// What a card of ESO's convention begins with, whose keyword is of several words:
+/// `HIERARCH ESO TEL PARANG START = 12.3`.
 pub(super) const HIERARCH: &[u8] = b"HIERARCH ";
 
 /// Whether `name` is a keyword of several words, without [`HIERARCH`].
@@ -76,7 +78,8 @@ pub(super) fn integer(value: &str) -> Option<i64> {
     })
 }
 
-/// A card in fixed format: a number or logical is right-justified to column 30, a quoted string left-justified.
+/// A card in fixed format: a number or logical is right-justified to column 30, a quoted string
+/// left-justified.
 pub(super) fn fixed(keyword: &str, value: &str, comment: &str) -> Bytes {
     let value = if value.starts_with('\'') { format!("{value:<20}") } else { format!("{value:>20}") };
     let line = if comment.is_empty() {

@@ -1,6 +1,8 @@
-//! Units of the numbers in cards: in the value (`2.17 um`), else in the comment (`[nm]`, `exposure in microseconds`, `[ADU/e-]`).
+//! Units of the numbers in cards: in the value (`2.17 um`), else in the comment (`[nm]`,
+//! `exposure in microseconds`, `[ADU/e-]`).
 
-/// Units of a quantity: names in lower case, factor to the unit of the quantity, plausible values in the named unit.
+/// Units of a quantity: names in lower case, factor to the unit of the quantity, plausible values
+/// in the named unit.
 pub(super) type Units = &'static [(&'static [&'static str], f64, [f64; 2])];
 
 /// From 100 nm to 100 µm, as a scene accepts.
@@ -76,7 +78,8 @@ fn tokens(text: &str) -> Vec<Token> {
     tokens
 }
 
-/// A comment without the words that belong to a number in it (`max 60 s`) or to a longer word (`hour-long`), which are not the unit of the card.
+/// A comment without the words that belong to a number in it (`max 60 s`) or to a longer word
+/// (`hour-long`), which are not the unit of the card.
 fn without_quantities(comment: &str) -> String {
     let mut left = String::new();
     let mut is_after_number = false;
@@ -97,7 +100,8 @@ fn without_quantities(comment: &str) -> String {
     left
 }
 
-/// Whether square brackets hold one word that is no unit of `units`, such as `[THz]`, or `text` is such a word.
+/// Whether square brackets hold one word that is no unit of `units`, such as `[THz]`, or `text` is
+/// such a word.
 fn is_other_unit(text: &str, units: Units) -> bool {
     matches!(tokens(text).as_slice(), [Token::Word(word)] if factor(word, units).is_none() && !text.trim().contains(' '))
 }
@@ -126,7 +130,8 @@ pub(super) fn stated(value: &str, comment: &str, units: Units) -> Option<Stated>
         .or_else(|| named(&tokens(&without_quantities(comment)), units, true))
 }
 
-/// The unit that a comment names as `in seconds`, where also words count that may mean something else.
+/// The unit that a comment names as `in seconds`, where also words count that may mean something
+/// else.
 fn in_words(comment: &str, units: Units) -> Option<Stated> {
     let tokens = tokens(&without_quantities(comment));
     let after_in = tokens.windows(2).find_map(|pair| match pair {
@@ -137,7 +142,8 @@ fn in_words(comment: &str, units: Units) -> Option<Stated> {
     after_in.filter(|_| !is_fraction).map(Stated::Factor)
 }
 
-/// The unit that `tokens` name. In free text, words of one letter and [`AMBIGUOUS`] ones count in a fraction only.
+/// The unit that `tokens` name. In free text, words of one letter and [`AMBIGUOUS`] ones count in a
+/// fraction only.
 fn named(tokens: &[Token], units: Units, is_free: bool) -> Option<Stated> {
     let is_electrons = units == ELECTRONS;
     let below: &[&str] = if is_electrons { COUNTS } else { PIXEL };

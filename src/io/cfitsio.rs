@@ -1,12 +1,12 @@
-//! A safe handle of cfitsio. The `unsafe` code of this module is here, and in `write` where columns and images are passed
-//! to cfitsio.
+//! A safe handle of cfitsio. The `unsafe` code of this module is here, and in `write` where columns
+//! and images are passed to cfitsio.
 //!
-//! The vendored library is built re-entrant and a handle is used by one thread at a time, so threads share only cfitsio's own
-//! locked tables. Files are opened with its "disk file" entry points only, which do not interpret brackets, filters, URLs
-//! or pipes in a name.
+//! The vendored library is built re-entrant and a handle is used by one thread at a time, so
+//! threads share only cfitsio's own locked tables. Files are opened with its "disk file" entry
+//! points only, which do not interpret brackets, filters, URLs or pipes in a name.
 //!
-//! The `anynul` argument of cfitsio's readers is always passed: the manual calls it optional, but `fffi2r8` and similar
-//! functions write through it unconditionally.
+//! The `anynul` argument of cfitsio's readers is always passed: the manual calls it optional, but
+//! `fffi2r8` and similar functions write through it unconditionally.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::os::unix::ffi::OsStrExt;
@@ -28,19 +28,21 @@ struct Memory {
 
 impl Drop for Memory {
     fn drop(&mut self) {
-        // SAFETY: `start` is null or came from malloc/realloc, and cfitsio's handle is closed before its memory drops.
+        // SAFETY: `start` is null or came from malloc/realloc, and cfitsio's handle is closed
+        // before its memory drops.
         unsafe { libc::free(self.start) }
     }
 }
 
-/// An open file, closed when dropped. The bytes of a file being written are taken with [`FitsHandle::into_bytes`].
+/// An open file, closed when dropped. The bytes of a file being written are taken with
+/// [`FitsHandle::into_bytes`].
 pub(super) struct FitsHandle {
     file: *mut sys::fitsfile,
     memory: Option<Box<Memory>>,
 }
 
-// SAFETY: a handle is used by one thread at a time (no method takes `&self` concurrently: it is not `Sync`), and the
-// library is built with --enable-reentrant.
+// SAFETY: a handle is used by one thread at a time (no method takes `&self` concurrently: it is not
+// `Sync`), and the library is built with --enable-reentrant.
 unsafe impl Send for FitsHandle {}
 
 /// Name of files in memory, without characters that cfitsio would interpret as a filter.
@@ -84,7 +86,8 @@ impl FitsHandle {
         Self::create_in(2880)
     }
 
-    /// Starts an empty file in `first` bytes of memory, which are 0; more is not, where the file outgrows them.
+    /// Starts an empty file in `first` bytes of memory, which are 0; more is not, where the file
+    /// outgrows them.
     pub(super) fn create_in(first: usize) -> CfitsioResult<Self> {
         // SAFETY: calloc returns zeroed memory or null.
         let start = unsafe { libc::calloc(first, 1) };
@@ -104,7 +107,8 @@ impl FitsHandle {
 
     /// Calls one cfitsio function with the file and a status.
     ///
-    /// The closure may only pass pointers that are valid during the call and point to enough memory.
+    /// The closure may only pass pointers that are valid during the call and point to enough
+    /// memory.
     pub fn call(&mut self, function: impl FnOnce(*mut sys::fitsfile, *mut c_int) -> c_int) -> CfitsioResult<()> {
         let file = self.file;
         check(|status| function(file, status))
@@ -131,7 +135,8 @@ impl FitsHandle {
         let mut data = allocate(pixels, 0.0)?;
         let mut first = vec![1_i64; axes];
         let (mut nan, mut any) = (f64::NAN, 0);
-        // With a null value cfitsio also changes infinities and denormals of floating-point images: there it is omitted.
+        // With a null value cfitsio also changes infinities and denormals of floating-point images:
+        // there it is omitted.
         let null = if integers { (&raw mut nan).cast() } else { ptr::null_mut() };
         // SAFETY: `data` holds `pixels` values, `first` one per axis.
         self.call(|file, status| unsafe {
@@ -192,7 +197,8 @@ impl FitsHandle {
         Ok(bytes.chunks_exact(stride).map(text).collect())
     }
 
-    /// The numbers of a variable-length array: a row, from 0, of a column, from 1. More than `most` are refused.
+    /// The numbers of a variable-length array: a row, from 0, of a column, from 1. More than `most`
+    /// are refused.
     pub fn list_f64(&mut self, column: c_int, row: usize, most: u64) -> CfitsioResult<Vec<f64>> {
         let (row, mut count, mut offset) = (row as i64 + 1, 0, 0);
         // SAFETY: two live locals.
@@ -230,7 +236,8 @@ impl FitsHandle {
 
     /// Closes a file written in memory and returns its bytes, with all `hdus` HDUs complete.
     pub fn into_bytes(mut self, hdus: usize) -> CfitsioResult<Vec<u8>> {
-        // Leaving an HDU completes its header and fill; the end of the last one is the end of the file.
+        // Leaving an HDU completes its header and fill; the end of the last one is the end of the
+        // file.
         self.move_to(0)?;
         self.move_to(hdus.saturating_sub(1))?;
         let (mut header, mut data, mut end) = (0, 0, 0);
@@ -250,8 +257,8 @@ impl FitsHandle {
 impl Drop for FitsHandle {
     fn drop(&mut self) {
         if !self.file.is_null() {
-            // A failure to close a file that was read or abandoned has no consequence: its message is cleared.
-            // SAFETY: `file` is open; its memory drops after this.
+            // A failure to close a file that was read or abandoned has no consequence: its message
+            // is cleared. SAFETY: `file` is open; its memory drops after this.
             let _ = check(|status| unsafe { sys::ffclos(self.file, status) });
         }
     }

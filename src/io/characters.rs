@@ -1,8 +1,10 @@
-//! Characters outside ASCII: text of files in the encodings that occur, and the ASCII form of header cards.
+//! Characters outside ASCII: text of files in the encodings that occur, and the ASCII form of
+//! header cards.
 //!
-//! FITS allows printable ASCII only, and cfitsio reads nothing else. Headers hold other characters all the same, in UTF-8 or
-//! Latin-1: `2.1686 µm`, `[Å]`, names of observers. Units must be understood, so characters are decoded and written by ASCII ones of the
-//! same meaning; only those without an equivalent become `?`.
+//! FITS allows printable ASCII only, and cfitsio reads nothing else. Headers hold other characters
+//! all the same, in UTF-8 or Latin-1: `2.1686 µm`, `[Å]`, names of observers. Units must be
+//! understood, so characters are decoded and written by ASCII ones of the same meaning; only those
+//! without an equivalent become `?`.
 
 /// ASCII letters of U+00C0 to U+00FF, which are letters with accents but for × and ÷.
 const ACCENTED: &[u8; 64] = b"AAAAAAACEEEEIIIIDNOOOOOxOUUUUYTsaaaaaaaceeeeiiiidnooooo/ouuuuyty";
@@ -32,7 +34,8 @@ const EQUIVALENTS: [(&[char], &str); 18] = [
     (&['Ł'], "L"),
 ];
 
-/// Text in UTF-16 with a byte order mark, UTF-8, or else Latin-1, in which every sequence of bytes is a text.
+/// Text in UTF-16 with a byte order mark, UTF-8, or else Latin-1, in which every sequence of bytes
+/// is a text.
 pub(super) fn decoded(bytes: &[u8]) -> String {
     let utf16 = |rest: &[u8], unit: fn([u8; 2]) -> u16| {
         let units: Vec<u16> = rest.as_chunks::<2>().0.iter().map(|&pair| unit(pair)).collect();

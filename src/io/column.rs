@@ -27,13 +27,15 @@ impl Column {
         Self { name: name.into(), unit: String::new(), values: Values::I64(values) }
     }
 
-    /// Text. FITS allows printable ASCII only: other characters are written as `?`, tabs as blanks; trailing blanks are lost.
+    /// Text. FITS allows printable ASCII only: other characters are written as `?`, tabs as blanks;
+    /// trailing blanks are lost.
     pub fn text(name: &str, values: impl IntoIterator<Item = impl AsRef<str>>) -> Self {
         let values = values.into_iter().map(|text| ascii(text.as_ref())).collect();
         Self { name: name.into(), unit: String::new(), values: Values::Text(values) }
     }
 
-    /// A list of real numbers in `unit` (empty for none) in each row; lists may differ in length, and be empty.
+    /// A list of real numbers in `unit` (empty for none) in each row; lists may differ in length,
+    /// and be empty.
     pub fn lists(name: &str, unit: &str, values: Vec<Vec<f64>>) -> Self {
         Self { name: name.into(), unit: unit.into(), values: Values::Lists(values) }
     }
@@ -58,7 +60,8 @@ impl Column {
             Values::F64(_) => "1D".into(),
             Values::I64(_) => "1K".into(),
             Values::Text(values) => format!("{}A", values.iter().map(String::len).max().unwrap_or(0).max(1)),
-            // Descriptors of 64 bits; the length of the longest list, which cfitsio leaves out where it is 0.
+            // Descriptors of 64 bits; the length of the longest list, which cfitsio leaves out
+            // where it is 0.
             Values::Lists(values) => format!("QD({})", values.iter().map(Vec::len).max().unwrap_or(0)),
         }
     }

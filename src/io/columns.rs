@@ -26,7 +26,8 @@ impl FitsReader {
     /// A column of real numbers of table `hdu`; undefined values are NaN.
     ///
     /// # Errors
-    /// [`Error::File`](crate::Error::File) where the table or the column is missing, or the column has not one number per row.
+    /// [`Error::File`](crate::Error::File) where the table or the column is missing, or the column
+    /// has not one number per row.
     pub fn f64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<f64>> {
         let found = self.column(hdu, column)?;
         found.check_scalar(self, found.code.abs() != TSTRING && !found.is_complex(), "a column of numbers")?;
@@ -56,7 +57,8 @@ impl FitsReader {
         self.handle.column_text(found.number, found.rows, found.width as usize).map_err(|reason| self.refuse(reason))
     }
 
-    /// A column of lists of real numbers of table `hdu`: variable-length arrays, or one number in each row.
+    /// A column of lists of real numbers of table `hdu`: variable-length arrays, or one number in
+    /// each row.
     ///
     /// # Errors
     /// As [`FitsReader::f64_column`]; for a list that is longer than the table.
@@ -89,7 +91,8 @@ impl FitsReader {
         self.check_data_sum(index)?;
         let number = place as i32 + 1;
         let (code, repeat, width) = self.handle.column_type(number).map_err(|reason| self.refuse(reason))?;
-        // A column cannot be wider than its row, whose size was checked against the file. TFORM may claim otherwise.
+        // A column cannot be wider than its row, whose size was checked against the file. TFORM may
+        // claim otherwise.
         if width < 1 || width as u64 > self.layout.hdus[index].axes[0] {
             return Err(self.refuse(format!(
                 "column `{column}` of `{hdu}` has elements of {width} bytes, which do not fit its rows"
@@ -125,7 +128,8 @@ impl Column {
         matches!(self.code, 83 | 163)
     }
 
-    /// Fails for vectors, for variable-length columns (negative codes) and where `has_type` is false.
+    /// Fails for vectors, for variable-length columns (negative codes) and where `has_type` is
+    /// false.
     fn check_scalar(&self, file: &FitsReader, has_type: bool, wanted: &str) -> Result<()> {
         if has_type && self.code > 0 && self.repeat == 1 {
             return Ok(());

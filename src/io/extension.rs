@@ -1,5 +1,5 @@
-//! Names of files with an HDU in brackets, as cfitsio and ds9 take them: `night.fits[2]`, `night.fits[SCI]`,
-//! `night.fits[SCI,2]`.
+//! Names of files with an HDU in brackets, as cfitsio and ds9 take them: `night.fits[2]`,
+//! `night.fits[SCI]`, `night.fits[SCI,2]`.
 
 use super::layout::Layout;
 use super::regular;
@@ -37,7 +37,8 @@ pub fn is_fits(path: impl AsRef<Path>) -> crate::Result<bool> {
     Ok(start == b"SIMPLE" || start.starts_with(&[0x1f, 0x8b]))
 }
 
-/// Index of the HDU that the text in brackets names: its name, with its EXTVER or without, else its number, 0 for the primary one.
+/// Index of the HDU that the text in brackets names: its name, with its EXTVER or without, else its
+/// number, 0 for the primary one.
 pub(super) fn find(layout: &Layout, hdu: &str) -> Option<usize> {
     let named = layout.hdus.iter().position(|known| known.is_named(hdu));
     named.or_else(|| hdu.parse().ok().filter(|&number: &usize| number < layout.hdus.len()))

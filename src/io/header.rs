@@ -1,8 +1,10 @@
-//! Facts of the instrument in the header of an image file: unit, gain, read noise, wavelength, filter, pixel scale, exposure.
+//! Facts of the instrument in the header of an image file: unit, gain, read noise, wavelength,
+//! filter, pixel scale, exposure.
 //!
-//! Observatories name the same quantity by different keywords and write it in different units. A unit is taken from the value
-//! or from the comment of a card (`2.17 um`, `[nm]`, `pixel on the sky, mas`); where neither has one, the value is read in
-//! every unit that makes it plausible.
+//! Observatories name the same quantity by different keywords and write it in different units. A
+//! unit is taken from the value or from the comment of a card (`2.17 um`, `[nm]`,
+//! `pixel on the sky, mas`); where neither has one, the value is read in every unit that makes it
+//! plausible.
 
 use super::band::Band;
 use super::card_unit::{self, ELECTRONS, PIXELS, SECONDS, Stated, Units, WAVELENGTHS};
@@ -19,7 +21,8 @@ pub enum Quantity {
     ReadNoiseE,
     /// Wavelength, nm.
     WavelengthNm,
-    /// Wavelength of the photometric band that a filter's name states, nm. The tolerance is the width of the band.
+    /// Wavelength of the photometric band that a filter's name states, nm. The tolerance is the
+    /// width of the band.
     BandNm,
     /// Pixel on the sky, mas.
     PixelMas,
@@ -51,7 +54,8 @@ impl HeaderFact {
     }
 }
 
-/// Card of reduced images with the read noise of one coadd, electrons RMS, from which `RON_E` was derived with the other noise.
+/// Card of reduced images with the read noise of one coadd, electrons RMS, from which `RON_E` was
+/// derived with the other noise.
 pub const READ_NOISE_OF_A_COADD: &str = "RON_READ";
 
 /// Unit of the pixels of an image file.
@@ -68,7 +72,8 @@ pub enum PixelUnit {
     Other(String),
 }
 
-/// Keywords of each quantity, those that are preferred first, their units, and whether the first unit is that of a bare number.
+/// Keywords of each quantity, those that are preferred first, their units, and whether the first
+/// unit is that of a bare number.
 const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
     (Quantity::GainEPerAdu, &["EGAIN", "GAIN", "ESO DET OUT1 CONAD"], ELECTRONS, true),
     (
@@ -101,10 +106,12 @@ const FILTERS: [&str; 11] = [
 
 /// Smallest relative uncertainty of a value: that of six digits, and of a single-precision number.
 const LEAST_TOLERANCE: f64 = 1e-6;
-/// Relative uncertainty of a pixel scale from the world coordinates of a file, which describe the sky and not the optics.
+/// Relative uncertainty of a pixel scale from the world coordinates of a file, which describe the
+/// sky and not the optics.
 const COORDINATES_TOLERANCE: f64 = 0.02;
 
-/// Keywords of the integration time of one coadd, the true one of OSIRIS first: its `ITIME` is in ms.
+/// Keywords of the integration time of one coadd, the true one of OSIRIS first: its `ITIME` is in
+/// ms.
 pub const COADD_TIMES: [&str; 4] = ["TRUITIME", "ITIME", "ESO DET DIT", "ESO DET SEQ1 DIT"];
 /// Keyword of the number of integrations that an infrared camera of ESO averages.
 pub const AVERAGED_COADDS: &str = "ESO DET NDIT";
@@ -114,7 +121,8 @@ pub const AVERAGED_COADDS: &str = "ESO DET NDIT";
 pub(super) struct Facts {
     /// For each quantity all its cards, in the order of preference.
     pub facts: Vec<HeaderFact>,
-    /// Cards that state a quantity in a form that is not read, where no other card states it: a sentence each.
+    /// Cards that state a quantity in a form that is not read, where no other card states it: a
+    /// sentence each.
     pub unread: Vec<String>,
 }
 
@@ -155,14 +163,16 @@ pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Facts> {
     Ok(found)
 }
 
-/// Unit of the pixels: card `BUNIT` of the HDU at `index`, else that of a primary HDU without an array that it could describe.
+/// Unit of the pixels: card `BUNIT` of the HDU at `index`, else that of a primary HDU without an
+/// array that it could describe.
 pub(super) fn unit(file: &mut FitsReader, index: usize) -> Result<PixelUnit> {
     let own = file.card_at(index, "BUNIT")?;
     let inherited = if own.is_none() && file.is_inherited_by(index) { file.card_at(0, "BUNIT")? } else { None };
     Ok(own.or(inherited).map_or(PixelUnit::Unstated, |card| pixel_unit(&plain(&card))))
 }
 
-/// A card of the HDU at `index`, else of the primary HDU, with its value as written and its comment.
+/// A card of the HDU at `index`, else of the primary HDU, with its value as written and its
+/// comment.
 fn card(file: &mut FitsReader, index: usize, keyword: &str) -> Result<Option<(Card, String, String)>> {
     for hdu in [index, 0] {
         if let Some(card) = file.card_at(hdu, keyword)? {
@@ -178,7 +188,8 @@ fn plain(card: &Card) -> String {
     card.text().map_or_else(|| card.to_string(), |text| text.trim().to_string())
 }
 
-/// The fact of a card, or why it is none. A number in counts is converted with the gain, where that is known.
+/// The fact of a card, or why it is none. A number in counts is converted with the gain, where that
+/// is known.
 fn fact(
     quantity: Quantity,
     keyword: &'static str,
@@ -235,8 +246,8 @@ fn last_digit(digits: &str) -> f64 {
     10f64.powi(exponent.parse().unwrap_or(0) - decimals)
 }
 
-/// Pixel scale of celestial coordinates: `CDELT1` (degrees) where `CTYPE1` names an axis of the sky. Files without coordinates
-/// have CDELT1 = 1.
+/// Pixel scale of celestial coordinates: `CDELT1` (degrees) where `CTYPE1` names an axis of the
+/// sky. Files without coordinates have CDELT1 = 1.
 fn coordinates(file: &mut FitsReader, index: usize) -> Result<Option<HeaderFact>> {
     let is_sky = |card: Card| card.text().is_some_and(|text| ["RA--", "DEC-"].iter().any(|sky| text.starts_with(sky)));
     if !file.card_at(index, "CTYPE1")?.is_some_and(is_sky) {

@@ -20,7 +20,8 @@ pub struct HduImages {
     pub channel: Option<String>,
     /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` pixels are NaN.
     pub data: Array3<f64>,
-    /// `[image, y, x]`: true for pixels that are not finite or that are marked in `BADPIX` or in the mask file.
+    /// `[image, y, x]`: true for pixels that are not finite or that are marked in `BADPIX` or in
+    /// the mask file.
     pub bad: Array3<bool>,
     /// Card `RON_E` of the image HDU, else of the primary HDU: read noise per pixel, electrons RMS.
     pub read_noise_e: Option<f64>,
@@ -38,12 +39,13 @@ pub struct HduImages {
     pub repaired: Option<String>,
     /// What the file has besides the images that is not used, a sentence each.
     pub notes: Vec<String>,
-    /// What a user should know without doubting the images, a sentence each: cards that are not read, other HDUs.
+    /// What a user should know without doubting the images, a sentence each: cards that are not
+    /// read, other HDUs.
     pub remarks: Vec<String>,
 }
 
-/// Reads the images in HDU `index` of `file`, which are at `place` among those that are read, with the bad pixels in its HDU `marks`
-/// and in the file `mask`.
+/// Reads the images in HDU `index` of `file`, which are at `place` among those that are read, with
+/// the bad pixels in its HDU `marks` and in the file `mask`.
 pub(super) fn read_hdu(
     file: &mut FitsReader,
     (place, index): (usize, usize),

@@ -10,19 +10,21 @@ use super::mosaic::{self, Mosaic};
 use super::read::FitsReader;
 use crate::Result;
 
-/// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU `IMAGES` if it exists, else the amplifiers of a
-/// detector, an image HDU each with a card `DETSEC`, put together, else the primary HDU, else the first image extension. Image HDUs that are
-/// not read are named in the notes or remarks.
+/// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU
+/// `IMAGES` if it exists, else the amplifiers of a detector, an image HDU each with a card
+/// `DETSEC`, put together, else the primary HDU, else the first image extension. Image HDUs that
+/// are not read are named in the notes or remarks.
 ///
 /// A file of AOT has those of its scoring camera: [`aot`].
 ///
-/// 2-D or a cube (image index slowest), any BITPIX, scaled or not. An image HDU `BADPIX`, 2-D for all images or a cube,
-/// marks pixels as bad where it is not zero; so does the file `mask` (the HDU in
-/// brackets, else its HDU `BADPIX`, else its first image).
+/// 2-D or a cube (image index slowest), any BITPIX, scaled or not. An image HDU `BADPIX`, 2-D for
+/// all images or a cube, marks pixels as bad where it is not zero; so does the file `mask` (the HDU
+/// in brackets, else its HDU `BADPIX`, else its first image).
 ///
 /// # Errors
-/// [`Error::File`](crate::Error::File), with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
-/// image, neither 2-D nor 3-D, a mask of another shape, a read noise that is not a number.
+/// [`Error::File`](crate::Error::File), with the file and the reason: missing, truncated (with the
+/// bytes present and needed), not FITS, no image, neither 2-D nor 3-D, a mask of another shape, a
+/// read noise that is not a number.
 pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<HduImages> {
     read_only(&mut FitsReader::open(path)?, mask)
 }
@@ -56,9 +58,10 @@ fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<HduImages> {
     Ok(images)
 }
 
-/// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`, each with the HDU `BADPIX` of the
-/// same place, or all with the only one; of a file with one HDU `IMAGES` or none, as [`read_images`]. Those of a file of AOT are of its
-/// scoring cameras, in their order.
+/// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`,
+/// each with the HDU `BADPIX` of the same place, or all with the only one; of a file with one HDU
+/// `IMAGES` or none, as [`read_images`]. Those of a file of AOT are of its scoring cameras, in
+/// their order.
 ///
 /// # Errors
 /// As [`read_images`].

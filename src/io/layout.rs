@@ -1,7 +1,8 @@
 //! Layout of a FITS file: reads and validates all headers before cfitsio does.
 //!
-//! Every size is compared with the length of the file, so that a malformed or malicious header cannot cause a large
-//! allocation or a long loop. Headers are converted to standard form, and repairs are recorded.
+//! Every size is compared with the length of the file, so that a malformed or malicious header
+//! cannot cause a large allocation or a long loop. Headers are converted to standard form, and
+//! repairs are recorded.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -66,11 +67,13 @@ impl Hdu {
         card::value_and_comment(found)
     }
 
-    /// What is wrong with the scale and the offset of its values, whose cards these are, as a sentence: real = scale · stored + offset.
+    /// What is wrong with the scale and the offset of its values, whose cards these are, as a
+    /// sentence: real = scale · stored + offset.
     pub fn scaling_fault(&self, [scale, offset]: [&str; 2]) -> Option<String> {
         let fault = |key: &str, accepts_zero: bool| {
             let value = self.value(key).filter(|value| !value.is_empty())?;
-            // Fortran writes the exponent of a double with a D. A number beyond all doubles is infinite.
+            // Fortran writes the exponent of a double with a D. A number beyond all doubles is
+            // infinite.
             let number = value.replace(['D', 'd'], "E").parse::<f64>().ok();
             let is_accepted = number.is_some_and(|number| number.is_finite() && (accepts_zero || number != 0.0));
             let accepted = if accepts_zero { "a finite number" } else { "a finite number other than 0" };
@@ -91,7 +94,8 @@ impl Hdu {
         self.value("EXTVER").and_then(card::integer)
     }
 
-    /// Whether `text` names this HDU: its name, or `NAME,2` for the HDU of that name with EXTVER 2 (1 where it has none).
+    /// Whether `text` names this HDU: its name, or `NAME,2` for the HDU of that name with EXTVER 2
+    /// (1 where it has none).
     pub fn is_named(&self, text: &str) -> bool {
         let is_name = |name: &str| self.name.eq_ignore_ascii_case(name.trim());
         let (name, version) = name_and_version(text);
@@ -161,7 +165,8 @@ pub(super) fn scan(source: &mut (impl Read + Seek), length: u64) -> Result<Layou
     Ok(layout)
 }
 
-/// Bytes of data that the header at byte `at` declares; `None` where no HDU starts there. `source` has `length` bytes, up to the end of the header.
+/// Bytes of data that the header at byte `at` declares; `None` where no HDU starts there. `source`
+/// has `length` bytes, up to the end of the header.
 ///
 /// # Errors
 /// As [`scan`].
@@ -185,7 +190,8 @@ fn read_hdu(
     let mut ended = false;
     while !ended {
         let before = raw.len();
-        // One block at a time, so that a file without END is not read completely before its first card is checked.
+        // One block at a time, so that a file without END is not read completely before its first
+        // card is checked.
         let block = source.by_ref().take(BLOCK).read_to_end(&mut raw);
         let got = block.map_err(|error| format!("byte {} cannot be read: {error}", at + before as u64))?;
         let short = (got as u64) < BLOCK;
@@ -338,7 +344,8 @@ impl HeaderIntegers<'_> {
         if kind == HduKind::Table && zimage { HduKind::Compressed } else { kind }
     }
 
-    /// Bytes of data by the standard's equations 1 and 2; adds the extension's cards to `mandatory`.
+    /// Bytes of data by the standard's equations 1 and 2; adds the extension's cards to
+    /// `mandatory`.
     fn data_bytes(
         &self,
         kind: HduKind,

@@ -1,7 +1,8 @@
 //! Masks of bad pixels: which pixels of an image HDU are marked, and masks that cannot be meant so.
 //!
-//! A value other than 0 marks a pixel. In the data quality planes of space telescopes (`DQ`) a value is a sum of flags, most of which only
-//! inform; `dq.fits[DQ&1]` names those that mean bad by their sum.
+//! A value other than 0 marks a pixel. In the data quality planes of space telescopes (`DQ`) a
+//! value is a sum of flags, most of which only inform; `dq.fits[DQ&1]` names those that mean bad by
+//! their sum.
 
 use super::layout::HduKind;
 use super::read::FitsReader;
@@ -12,7 +13,8 @@ use std::path::{Path, PathBuf};
 /// Name of the HDU with bad pixels.
 pub(super) const BADPIX: &str = "BADPIX";
 
-/// Largest share of pixels that a mask may mark: what is left of an image of 64 pixels then has 14 on a side.
+/// Largest share of pixels that a mask may mark: what is left of an image of 64 pixels then has 14
+/// on a side.
 pub const MOST_MARKED: f64 = 0.95;
 /// The same for values that are sums of flags: detectors have 0.2 to 2 % of bad pixels.
 const MOST_FLAGGED: f64 = 0.2;
@@ -29,7 +31,8 @@ pub(super) struct MaskFile {
 }
 
 impl MaskFile {
-    /// The mask in `path`: the HDU in brackets behind its name, with the flags behind `&`, else its HDU `BADPIX`, else its first image.
+    /// The mask in `path`: the HDU in brackets behind its name, with the flags behind `&`, else its
+    /// HDU `BADPIX`, else its first image.
     pub fn open(path: &Path) -> Result<Self> {
         let (plain, flags) = split_flags(path)?;
         let file = FitsReader::open(plain)?;
@@ -47,10 +50,12 @@ impl MaskFile {
     }
 }
 
-/// The bad pixels of a detector, `[y, x]`, in the FITS file `path`, which may be named as `FILE[HDU]` or `FILE[HDU&FLAGS]`.
+/// The bad pixels of a detector, `[y, x]`, in the FITS file `path`, which may be named as
+/// `FILE[HDU]` or `FILE[HDU&FLAGS]`.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read, a mask that is not 2-D, and one that marks nearly everything.
+/// [`Error::File`] for a file that cannot be read, a mask that is not 2-D, and one that marks
+/// nearly everything.
 pub fn read_mask(path: &Path) -> Result<Array2<bool>> {
     let MaskFile { mut file, index, flags } = MaskFile::open(path)?;
     let marks = marks(&mut file, index, flags)?;
@@ -60,7 +65,8 @@ pub fn read_mask(path: &Path) -> Result<Array2<bool>> {
     Ok(marks.index_axis_move(Axis(0), 0))
 }
 
-/// Adds the bad pixels marked in the image at `index` of `file`, by any of `flags` where they are given, to `bad`.
+/// Adds the bad pixels marked in the image at `index` of `file`, by any of `flags` where they are
+/// given, to `bad`.
 pub(super) fn mark(file: &mut FitsReader, (index, flags): (usize, Option<u64>), bad: &mut Array3<bool>) -> Result<()> {
     let marks = marks(file, index, flags)?;
     let (images, height, width) = bad.dim();

@@ -1,19 +1,21 @@
 //! FITS input and output, text tables.
 //!
-//! * [`read_images`] reads the file of a camera: images, bad pixels, read noise. [`FitsReader`] reads other content by name:
-//!   maps, cubes, columns, cards. Reading never changes the file.
-//! * Files of AOT, the telemetry standard of adaptive optics, are read by the same functions: [`aot`].
+//! * [`read_images`] reads the file of a camera: images, bad pixels, read noise. [`FitsReader`]
+//!   reads other content by name: maps, cubes, columns, cards. Reading never changes the file.
+//! * Files of AOT, the telemetry standard of adaptive optics, are read by the same functions:
+//!   [`aot`].
 //! * [`FitsWriter`] composes a file in memory, which appears at its path complete or not at all.
 //!
-//! Arrays are `[.., y, x]` in C order; in the file x is NAXIS1. Names of HDUs and columns are compared without case.
+//! Arrays are `[.., y, x]` in C order; in the file x is NAXIS1. Names of HDUs and columns are
+//! compared without case.
 //!
 //! # Files that are not standard FITS
 //!
 //! Tile-compressed images (`.fz`) are read as the plain ones: `tiles`.
 //!
-//! `layout` reads the headers before cfitsio does and compares every size with the length of the file; `repair` converts
-//! cards to the standard's form in a copy in memory, and one sentence reports the repairs. A file that cannot be repaired
-//! is rejected with the byte and the reason.
+//! `layout` reads the headers before cfitsio does and compares every size with the length of the
+//! file; `repair` converts cards to the standard's form in a copy in memory, and one sentence
+//! reports the repairs. A file that cannot be repaired is rejected with the byte and the reason.
 
 pub mod aot;
 mod band;

@@ -1,5 +1,6 @@
-//! A detector that is read by several amplifiers, an image HDU each: the cards `DETSEC` (the part of the detector, unbinned pixels) and
-//! `DATASEC` (the illuminated part of the HDU) put them together, `BIASSEC` (overscan) gives the bias of each.
+//! A detector that is read by several amplifiers, an image HDU each: the cards `DETSEC` (the part
+//! of the detector, unbinned pixels) and `DATASEC` (the illuminated part of the HDU) put them
+//! together, `BIASSEC` (overscan) gives the bias of each.
 
 use super::header;
 use super::layout::HduKind;
@@ -10,7 +11,8 @@ use crate::Result;
 use crate::statistics::median;
 use ndarray::{Array2, Array3, Axis, s};
 
-/// Names of image HDUs that go with an image: its uncertainty, quality, weight and what was derived from it.
+/// Names of image HDUs that go with an image: its uncertainty, quality, weight and what was derived
+/// from it.
 const COMPANIONS: [&str; 25] = [
     "ERR",
     "DQ",
@@ -42,7 +44,8 @@ const COMPANIONS: [&str; 25] = [
 /// HDUs of cophase beside its images, which are read for themselves.
 const OURS: [&str; 4] = ["TRUTH_", "SLOPES", "MOVED_", "SCENE"];
 
-/// Pixels from 0 along an axis: the first, and the one behind the last; whether the section counts down.
+/// Pixels from 0 along an axis: the first, and the one behind the last; whether the section counts
+/// down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Range {
     from: usize,
@@ -125,7 +128,8 @@ pub(super) fn assembled(file: &mut FitsReader) -> Result<Option<Mosaic>> {
     Ok(Some(Mosaic { index: parts[0].index, data: data.insert_axis(Axis(0)), remark }))
 }
 
-/// The amplifiers; `None` unless at least two image HDUs have sections that fit, and none overlaps another.
+/// The amplifiers; `None` unless at least two image HDUs have sections that fit, and none overlaps
+/// another.
 fn parts(file: &FitsReader) -> Option<Vec<Part>> {
     let images = others(file, None).into_iter().filter(|&index| !is_companion(file, index));
     let parts: Vec<Part> = images.map(|index| part(file, index)).collect::<Option<_>>()?;
@@ -166,7 +170,8 @@ fn is_companion(file: &FitsReader, index: usize) -> bool {
     COMPANIONS.contains(&file.layout.hdus[index].name.as_str())
 }
 
-/// Notes and remarks on the image HDUs beside `read` that are not read: another image of its shape may be the one that is meant.
+/// Notes and remarks on the image HDUs beside `read` that are not read: another image of its shape
+/// may be the one that is meant.
 pub(super) fn unread(file: &FitsReader, read: usize) -> (Option<String>, Option<String>) {
     let plane = |index: usize| file.layout.hdus[index].axes.iter().take(2).copied().collect::<Vec<_>>();
     let others: Vec<usize> =

@@ -1,4 +1,5 @@
-//! Compressed files: refused by their headers before they are expanded, because a file can expand to a thousand times its size.
+//! Compressed files: refused by their headers before they are expanded, because a file can expand
+//! to a thousand times its size.
 
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -9,11 +10,13 @@ use super::layout;
 use super::repair::{self, Repairs};
 use crate::machine;
 
-/// Most bytes that a compressed file expands to: a thousand frames of 512 × 512 pixels of 4 bytes. They are in memory twice; a file that is not
-/// compressed is read from the disk and has no such bound.
+/// Most bytes that a compressed file expands to: a thousand frames of 512 × 512 pixels of 4 bytes.
+/// They are in memory twice; a file that is not compressed is read from the disk and has no such
+/// bound.
 pub(super) const MAX_UNPACKED: u64 = 1 << 30;
 
-/// Refuses to expand to `bytes` bytes in all. `what` is the part of the file that its header describes, `how` the command that unpacks it.
+/// Refuses to expand to `bytes` bytes in all. `what` is the part of the file that its header
+/// describes, `how` the command that unpacks it.
 ///
 /// # Errors
 /// Both figures, and what to do.
@@ -28,11 +31,12 @@ pub(super) fn check_unpacked(what: &str, bytes: u64, how: &str) -> CfitsioResult
         .map_err(|error| error.to_string())
 }
 
-/// The FITS file in a gzip stream. Each header is read before the data that it describes are unpacked; what follows the last HDU is not, but for its
-/// first block.
+/// The FITS file in a gzip stream. Each header is read before the data that it describes are
+/// unpacked; what follows the last HDU is not, but for its first block.
 ///
 /// # Errors
-/// Why the stream cannot be read, that it holds no FITS file, or that its headers declare more than [`MAX_UNPACKED`].
+/// Why the stream cannot be read, that it holds no FITS file, or that its headers declare more than
+/// [`MAX_UNPACKED`].
 pub(super) fn unpack(file: File) -> CfitsioResult<Vec<u8>> {
     let mut stream = flate2::read::MultiGzDecoder::new(file);
     let mut bytes = Vec::new();
@@ -52,7 +56,8 @@ pub(super) fn unpack(file: File) -> CfitsioResult<Vec<u8>> {
     }
 }
 
-/// Adds the blocks of a header up to its card END, or to the end of the stream; where no HDU can start, one block.
+/// Adds the blocks of a header up to its card END, or to the end of the stream; where no HDU can
+/// start, one block.
 fn read_header(stream: &mut impl Read, bytes: &mut Vec<u8>) -> CfitsioResult<()> {
     let (start, mut at) = (bytes.len(), bytes.len());
     loop {
@@ -115,7 +120,8 @@ mod tests {
         }
         let refused = unpack(packed(&["no FITS file"], 50_000_000)).unwrap_err();
         assert!(refused.contains("not a FITS file"), "{refused}");
-        // A file that is shorter than its header says is refused by the layout, with the bytes that are there.
+        // A file that is shorter than its header says is refused by the layout, with the bytes that
+        // are there.
         assert_eq!(unpacked(&image(9000), 100).unwrap(), 2980);
     }
 }

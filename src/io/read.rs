@@ -16,16 +16,18 @@ use super::{packed, regular};
 use crate::machine;
 use crate::{Error, Result};
 
-/// Longest file name that cfitsio opens (FLEN_FILENAME of fitsio.h, less a margin); files with longer names are read into
-/// memory.
+/// Longest file name that cfitsio opens (FLEN_FILENAME of fitsio.h, less a margin); files with
+/// longer names are read into memory.
 const MAX_NAME: usize = 1000;
 
 /// A FITS file open for reading. The file is never changed.
 ///
-/// An HDU is named by its `EXTNAME`, which is the first of that name, or with its `EXTVER` as in `IMAGES,2`.
+/// An HDU is named by its `EXTNAME`, which is the first of that name, or with its `EXTVER` as in
+/// `IMAGES,2`.
 ///
-/// Files in standard form are read from disk; packed files, files that need repair and files with a tile-compressed image
-/// (`.fz`), which is read as the plain one, are read from a copy in memory, see [`FitsReader::repaired`].
+/// Files in standard form are read from disk; packed files, files that need repair and files with a
+/// tile-compressed image (`.fz`), which is read as the plain one, are read from a copy in memory,
+/// see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
     pub(super) handle: FitsHandle,
@@ -35,12 +37,13 @@ pub struct FitsReader {
 }
 
 impl FitsReader {
-    /// Opens `path`: a file name, or where there is no such file a name with an HDU in brackets, `night.fits[SCI]` or
-    /// `night.fits[2]` (0 for the primary HDU), which takes the place of the first image. Other syntax has no meaning.
+    /// Opens `path`: a file name, or where there is no such file a name with an HDU in brackets,
+    /// `night.fits[SCI]` or `night.fits[2]` (0 for the primary HDU), which takes the place of the
+    /// first image. Other syntax has no meaning.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that is missing, empty, truncated, or not FITS, with the byte and the reason; for an HDU
-    /// that it does not have.
+    /// [`Error::File`] for a file that is missing, empty, truncated, or not FITS, with the byte and
+    /// the reason; for an HDU that it does not have.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let (file, hdu) = extension::split(path);
@@ -70,7 +73,8 @@ impl FitsReader {
         Self::from_source(path, &mut file, direct).map_err(refused)
     }
 
-    /// Reads `source`; where `direct` is given and the file is in standard form, cfitsio opens it from disk.
+    /// Reads `source`; where `direct` is given and the file is in standard form, cfitsio opens it
+    /// from disk.
     fn from_source(path: &Path, source: &mut (impl Read + Seek), direct: Option<&Path>) -> CfitsioResult<Self> {
         let length = source.seek(std::io::SeekFrom::End(0)).map_err(|error| format!("cannot be read: {error}"))?;
         let mut layout = layout::scan(source, length)?;
@@ -105,7 +109,8 @@ impl FitsReader {
         Ok(self.planes(index, &[1])?.into_raw_vec_and_offset().0)
     }
 
-    /// The values of a 1-D image, or of a 2-D one of a single row: HDU `hdu`, or the first image with data.
+    /// The values of a 1-D image, or of a 2-D one of a single row: HDU `hdu`, or the first image
+    /// with data.
     ///
     /// # Errors
     /// As [`map`](Self::map), for an image of several rows.
@@ -136,7 +141,8 @@ impl FitsReader {
         self.planes(index, &[2, 3])
     }
 
-    /// A cube `[image, y, x]`: image HDU `hdu`; a 2-D image is a cube of one image. BLANK pixels are NaN.
+    /// A cube `[image, y, x]`: image HDU `hdu`; a 2-D image is a cube of one image. BLANK pixels
+    /// are NaN.
     ///
     /// # Errors
     /// [`Error::File`] where that HDU is missing, not an image, or neither 2-D nor 3-D.
@@ -151,16 +157,19 @@ impl FitsReader {
         data.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
     }
 
-    /// The card `key` of HDU `hdu` (`None`: the primary HDU); `None` where it is absent or has no value.
+    /// The card `key` of HDU `hdu` (`None`: the primary HDU); `None` where it is absent or has no
+    /// value.
     ///
     /// # Errors
-    /// [`Error::File`] where the HDU is missing; [`Error::Value`] for a keyword that FITS does not allow.
+    /// [`Error::File`] where the HDU is missing; [`Error::Value`] for a keyword that FITS does not
+    /// allow.
     pub fn card(&mut self, hdu: Option<&str>, key: &str) -> Result<Option<Card>> {
         let index = hdu.map_or(Ok(0), |name| self.find_any(name))?;
         self.card_at(index, key)
     }
 
-    /// The card `key` of the image that [`map`](Self::map) reads without a name, else of the primary HDU.
+    /// The card `key` of the image that [`map`](Self::map) reads without a name, else of the
+    /// primary HDU.
     ///
     /// # Errors
     /// As [`FitsReader::card`], and where there is no image.
@@ -213,7 +222,8 @@ impl FitsReader {
         found.map(|(value, comment)| (value.to_string(), comment.to_string())).unwrap_or_default()
     }
 
-    /// Index of the image that the path names, else of the first image with data whose name is not in `besides`.
+    /// Index of the image that the path names, else of the first image with data whose name is not
+    /// in `besides`.
     pub(super) fn first_image(&self, besides: &[&str]) -> Result<usize> {
         if let Some(index) = self.selected_image()? {
             return Ok(index);
@@ -230,7 +240,8 @@ impl FitsReader {
         })
     }
 
-    /// Indices of all HDUs `name` that are images with data, in the order of their EXTVER (1 where there is none).
+    /// Indices of all HDUs `name` that are images with data, in the order of their EXTVER (1 where
+    /// there is none).
     pub(super) fn all_images(&self, name: &str) -> Vec<usize> {
         let hdus = &self.layout.hdus;
         let is_one = |hdu: &Hdu| hdu.name == name && hdu.kind == HduKind::Image && !hdu.axes.is_empty();
@@ -279,8 +290,9 @@ impl FitsReader {
         format!("there are {}", names.join(", "))
     }
 
-    /// Whether the primary HDU has no image of its own, so that its cards describe that at `index`, and this HDU does not say otherwise
-    /// (the card `INHERIT` of the FITS convention of this name).
+    /// Whether the primary HDU has no image of its own, so that its cards describe that at `index`,
+    /// and this HDU does not say otherwise (the card `INHERIT` of the FITS convention of this
+    /// name).
     pub(super) fn is_inherited_by(&self, index: usize) -> bool {
         index > 0 && self.layout.hdus[0].axes.is_empty() && self.layout.hdus[index].value("INHERIT") != Some("F")
     }
@@ -327,7 +339,8 @@ impl FitsReader {
         ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
     }
 
-    /// Refuses an HDU whose data are not those that its card `DATASUM` was computed of. A card without a number says nothing.
+    /// Refuses an HDU whose data are not those that its card `DATASUM` was computed of. A card
+    /// without a number says nothing.
     pub(super) fn check_data_sum(&mut self, index: usize) -> Result<()> {
         let Some(stated) =
             self.layout.hdus[index].value("DATASUM").and_then(|sum| card::text(sum).trim().parse::<u64>().ok())

@@ -1,14 +1,17 @@
-//! Regular files: what a user or a scene names may be a device without an end, or a pipe that waits for its writer.
+//! Regular files: what a user or a scene names may be a device without an end, or a pipe that waits
+//! for its writer.
 
 use crate::{Error, Result};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// Opens a regular file for reading. `wanted` is what is needed in place of a directory or device, with its article.
+/// Opens a regular file for reading. `wanted` is what is needed in place of a directory or device,
+/// with its article.
 ///
 /// # Errors
-/// [`Error::File`] for a file that is missing or cannot be opened, and for anything but a regular one.
+/// [`Error::File`] for a file that is missing or cannot be opened, and for anything but a regular
+/// one.
 pub(super) fn open(path: &Path, wanted: &str) -> Result<File> {
     let refused = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::NotFound => Error::file(path, "there is no such file"),
@@ -25,7 +28,8 @@ pub(super) fn open(path: &Path, wanted: &str) -> Result<File> {
     File::open(path).map_err(refused)
 }
 
-/// Reads a regular file of at most `most` bytes; they are counted, because a device states a length of 0. `wanted` is as for [`open`].
+/// Reads a regular file of at most `most` bytes; they are counted, because a device states a length
+/// of 0. `wanted` is as for [`open`].
 ///
 /// # Errors
 /// As [`open`]; [`Error::File`] for a longer file.

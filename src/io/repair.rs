@@ -1,7 +1,9 @@
-//! Repair of headers that are not standard FITS. Every card is checked here; cards in standard form are not changed.
+//! Repair of headers that are not standard FITS. Every card is checked here; cards in standard form
+//! are not changed.
 //!
-//! Real files have mandatory cards outside their columns (`SIMPLE  = T /Tape`), NUL padding, lower-case keywords, a degree
-//! sign in a comment. cfitsio rejects some of these and misreads others, so it reads only the standard form.
+//! Real files have mandatory cards outside their columns (`SIMPLE  = T /Tape`), NUL padding,
+//! lower-case keywords, a degree sign in a comment. cfitsio rejects some of these and misreads
+//! others, so it reads only the standard form.
 
 use super::card::{self, BLOCK, Bytes, CARD};
 use super::characters;
@@ -83,7 +85,8 @@ fn in_ascii(original: &Bytes, at: u64, repairs: &mut Repairs) -> Bytes {
     let (text, is_complete) = characters::ascii(&original[8..]);
     line.extend_from_slice(&text);
     let quotes = |bytes: &[u8]| bytes.iter().filter(|byte| **byte == b'\'').count();
-    // An equivalent of several letters may push the end of a text out of the card: its characters are then replaced one by one.
+    // An equivalent of several letters may push the end of a text out of the card: its characters
+    // are then replaced one by one.
     let fits = quotes(&line) == quotes(&line[..line.len().min(CARD)]);
     if fits && is_complete && original[..8].is_ascii() {
         repairs.add("characters outside ASCII written in ASCII".into(), at);
@@ -105,7 +108,8 @@ pub(super) fn check_fill(fill: &[u8], at: u64, repairs: &mut Repairs) {
     }
 }
 
-/// The whole header in standard form: the mandatory cards first, in order and in fixed format, then the others.
+/// The whole header in standard form: the mandatory cards first, in order and in fixed format, then
+/// the others.
 ///
 /// `mandatory` has the keyword and the value of each mandatory card; comments are kept.
 pub(super) fn standard_header(

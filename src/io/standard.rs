@@ -1,4 +1,5 @@
-//! A file in standard form, in memory: the repaired headers and the data of all HDUs, tile-compressed images unpacked.
+//! A file in standard form, in memory: the repaired headers and the data of all HDUs,
+//! tile-compressed images unpacked.
 
 use super::card::{self, BLOCK, CARD};
 use super::layout::{Hdu, HduKind, Layout};
@@ -6,16 +7,17 @@ use super::packed;
 use super::tiles::{self, Image};
 use std::io::{Read, Seek, SeekFrom};
 
-/// Changes the header of a tile-compressed image that is not unpacked to that of a plain table: cfitsio prepares to unpack
-/// every one that it passes, and divides by the tile sizes in the header, even by zero.
+/// Changes the header of a tile-compressed image that is not unpacked to that of a plain table:
+/// cfitsio prepares to unpack every one that it passes, and divides by the tile sizes in the
+/// header, even by zero.
 fn hide_compression(header: &mut [u8]) {
     for card in header.as_chunks_mut::<CARD>().0.iter_mut().filter(|card| card::keyword(card) == b"ZIMAGE") {
         *card = card::padded(b"COMMENT a tile-compressed image");
     }
 }
 
-/// The complete file in standard form, for cfitsio to read from memory. HDUs of `layout` that are unpacked become images; the
-/// others keep the reason.
+/// The complete file in standard form, for cfitsio to read from memory. HDUs of `layout` that are
+/// unpacked become images; the others keep the reason.
 ///
 /// # Errors
 /// A message with the offset of the byte that could not be read.
@@ -46,8 +48,8 @@ pub(super) fn standard_file(layout: &mut Layout, source: &mut (impl Read + Seek)
     Ok(file)
 }
 
-/// Puts the plain image in the place of a tile-compressed one, whose header and data are at the end of `file`; gives whether it
-/// could be unpacked.
+/// Puts the plain image in the place of a tile-compressed one, whose header and data are at the end
+/// of `file`; gives whether it could be unpacked.
 fn unpack(hdu: &mut Hdu, file: &mut Vec<u8>, header_at: usize, data_at: usize) -> bool {
     let check = tiles::declared_bytes(hdu).map_or(Ok(()), |bytes| {
         let what = format!("the image {}", hdu.described());

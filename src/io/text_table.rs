@@ -1,14 +1,16 @@
 //! Text tables of a user's, as people, NumPy, pandas, Fortran and spreadsheets write them.
 //!
-//! Columns are separated by white space, commas, semicolons or tabs. Comments begin with `#`, or fill a line that begins with `%` or `!`.
-//! A first row without a number, or a last comment of as many words before the first row, has the names of the columns. Numbers may have a
-//! Fortran exponent (`1.5D-3`), and a decimal comma where commas separate no columns.
+//! Columns are separated by white space, commas, semicolons or tabs. Comments begin with `#`, or
+//! fill a line that begins with `%` or `!`. A first row without a number, or a last comment of as
+//! many words before the first row, has the names of the columns. Numbers may have a Fortran
+//! exponent (`1.5D-3`), and a decimal comma where commas separate no columns.
 
 use super::{characters, regular};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Bytes of the largest table that is read: some 50,000 rows; 256 × 256 entries of a map of cells take at most half of it.
+/// Bytes of the largest table that is read: some 50,000 rows; 256 × 256 entries of a map of cells
+/// take at most half of it.
 const LARGEST: u64 = 1 << 20;
 
 /// Units of lengths by their names in the head of a column, nm.
@@ -47,7 +49,8 @@ impl TextRow {
             .ok_or_else(|| self.at(format_args!("'{}' is not a finite number; {what} is needed", excerpt(word))))
     }
 
-    /// The whole number in column `column`, also as programs write it that know real numbers only; `None` for another word.
+    /// The whole number in column `column`, also as programs write it that know real numbers only;
+    /// `None` for another word.
     pub fn integer(&self, column: usize) -> Option<i64> {
         let number = number(self.words.get(column)?)?;
         // 2^53: beyond, an f64 does not represent every integer.
@@ -154,7 +157,8 @@ impl Style {
     }
 }
 
-/// The words of a cell that white space separates further, unless it is quoted; an empty cell is an empty word.
+/// The words of a cell that white space separates further, unless it is quoted; an empty cell is an
+/// empty word.
 fn spaced(cell: &str) -> Vec<&str> {
     let trimmed = cell.trim();
     if trimmed.is_empty() || trimmed.starts_with('"') { vec![trimmed] } else { trimmed.split_whitespace().collect() }
@@ -171,7 +175,8 @@ fn is_dialect(line: &str) -> bool {
     line.trim().trim_matches('"').to_lowercase().strip_prefix("sep=").is_some_and(|rest| rest.len() <= 1)
 }
 
-/// Names of columns in the last comment before the first row, where it has as many words as the row.
+/// Names of columns in the last comment before the first row, where it has as many words as the
+/// row.
 fn named_in_comment(lines: &[(usize, &str)], first: Option<&TextRow>, style: &Style) -> Vec<String> {
     let Some(first) = first else { return Vec::new() };
     let before = lines.iter().rev().find(|(at, line)| at + 1 < first.line && !line.trim().is_empty());
@@ -193,7 +198,8 @@ fn excerpt(word: &str) -> String {
     word.chars().take(30).collect()
 }
 
-/// Reads the text of a table, in UTF-8, UTF-16 or Latin-1; `origin` says where its name is from, for messages.
+/// Reads the text of a table, in UTF-8, UTF-16 or Latin-1; `origin` says where its name is from,
+/// for messages.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, is no regular file, or is larger than 1 MiB.

@@ -1,17 +1,21 @@
-//! Tile-compressed images (`fpack`, `.fits.fz`), FITS standard 4.0, section 10: the image is cut into tiles, each of them a compressed
-//! stream in a row of a binary table.
+//! Tile-compressed images (`fpack`, `.fits.fz`), FITS standard 4.0, section 10: the image is cut
+//! into tiles, each of them a compressed stream in a row of a binary table.
 //!
-//! RICE_1, GZIP_1, GZIP_2 and NOCOMPRESS are decoded here and not by cfitsio. It divides by the sizes in the header, even by zero,
-//! and its decoders (3.49, which `fitsio-sys` builds) trust the streams, so that no check of header and descriptors makes them safe:
+//! RICE_1, GZIP_1, GZIP_2 and NOCOMPRESS are decoded here and not by cfitsio. It divides by the
+//! sizes in the header, even by zero, and its decoders (3.49, which `fitsio-sys` builds) trust the
+//! streams, so that no check of header and descriptors makes them safe:
 //!
-//! - `fits_rdecomp` compares its position with the end of the stream after a block of pixels only, and counts the zeros of a code up
-//!   to the next 1: a stream that ends in zeros is read beyond the memory of the process (SIGSEGV; seed `bad-tiles-rice-open`, a
-//!   good file with one tile overwritten).
-//! - `imcomp_decompress_tile` takes the type of the pixels from the size to which a gzip stream unpacks: floats in an image of
-//!   doubles are read through a null pointer (SIGSEGV; seed `bad-tiles-gzip-width`). Its memory grows to the end of the stream, of
-//!   any size: 1 MB for an image of 48 pixels took 1 GB.
+//! - `fits_rdecomp` compares its position with the end of the stream after a block of pixels only,
+//!   and counts the zeros of a code up to the next 1: a stream that ends in zeros is read beyond
+//!   the memory of the process (SIGSEGV; seed `bad-tiles-rice-open`, a good file with one tile
+//!   overwritten).
+//! - `imcomp_decompress_tile` takes the type of the pixels from the size to which a gzip stream
+//!   unpacks: floats in an image of doubles are read through a null pointer (SIGSEGV; seed
+//!   `bad-tiles-gzip-width`). Its memory grows to the end of the stream, of any size: 1 MB for an
+//!   image of 48 pixels took 1 GB.
 //!
-//! Such streams are recognised by decoding them only. The result is a plain image: its header and big-endian pixels.
+//! Such streams are recognised by decoding them only. The result is a plain image: its header and
+//! big-endian pixels.
 
 mod codecs;
 mod table;
@@ -25,8 +29,8 @@ use crate::machine;
 use codecs::{gunzip, integers, rice, unshuffled};
 use table::{TileTable, integer, size};
 
-/// Most bytes that a compressed byte unpacks to: 1032 for gzip; 205 for RICE_1, whose blocks of 32 pixels of 4 bytes take 5 bits at
-/// least.
+/// Most bytes that a compressed byte unpacks to: 1032 for gzip; 205 for RICE_1, whose blocks of 32
+/// pixels of 4 bytes take 5 bits at least.
 const MAX_RATIO: u64 = 1032;
 
 /// Length of the standard's table of random numbers (appendix I).
@@ -46,7 +50,8 @@ pub(super) struct Image {
     pub data: Vec<u8>,
 }
 
-/// Bytes of the image in the compressed `hdu` by its header; `None` where that does not say it, which [`unpack`] refuses.
+/// Bytes of the image in the compressed `hdu` by its header; `None` where that does not say it,
+/// which [`unpack`] refuses.
 pub(super) fn declared_bytes(hdu: &Hdu) -> Option<u64> {
     let number = |key: &str| hdu.value(key).and_then(card::integer).and_then(|number| u64::try_from(number.abs()).ok());
     let axes = number("ZNAXIS").filter(|&axes| axes <= 999)?;
@@ -57,7 +62,8 @@ pub(super) fn declared_bytes(hdu: &Hdu) -> Option<u64> {
 /// The image in the compressed `hdu` with the data `data`.
 ///
 /// # Errors
-/// Why it cannot be unpacked: another compression, a header that contradicts itself or the data, a damaged tile.
+/// Why it cannot be unpacked: another compression, a header that contradicts itself or the data, a
+/// damaged tile.
 pub(super) fn unpack(hdu: &Hdu, data: &[u8]) -> Result<Image, String> {
     let table = TileTable::new(hdu, data)?;
     let geometry = Geometry::new(hdu, &table)?;
@@ -65,8 +71,8 @@ pub(super) fn unpack(hdu: &Hdu, data: &[u8]) -> Result<Image, String> {
     let pixel_bytes = geometry.bitpix.unsigned_abs() as usize / 8;
     let bytes = geometry.pixels * pixel_bytes;
     let what = format_args!("the tile-compressed image {}", hdu.described());
-    // The image, here and as cfitsio reads it; of a tile the unpacked bytes, these unshuffled, and the integers, of 8 bytes each at
-    // most.
+    // The image, here and as cfitsio reads it; of a tile the unpacked bytes, these unshuffled, and
+    // the integers, of 8 bytes each at most.
     let tile_bytes = 24 * geometry.tile.iter().product::<usize>();
     machine::check_memory(what, (2 * bytes + tile_bytes) as u64, "give a smaller image")
         .map_err(|error| error.to_string())?;
@@ -152,7 +158,8 @@ impl Geometry {
         axes.unzip()
     }
 
-    /// Index in the image of the first pixel of a line of a tile, which starts at `start` and has this `size`.
+    /// Index in the image of the first pixel of a line of a tile, which starts at `start` and has
+    /// this `size`.
     fn offset(&self, start: &[usize], size: &[usize], line: usize) -> usize {
         let (mut rest, mut stride, mut offset) = (line, self.axes[0] as usize, start[0]);
         for axis in 1..start.len() {

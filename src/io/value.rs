@@ -102,7 +102,8 @@ pub(super) fn checked_keyword(key: &str) -> Result<String> {
     Err(Error::Value(format!("`{key}` is not a FITS keyword: 1 to 8 of A-Z, 0-9, - and _ are accepted")))
 }
 
-/// As [`checked_keyword`], for a card that is read, whose keyword may be of several words (HIERARCH).
+/// As [`checked_keyword`], for a card that is read, whose keyword may be of several words
+/// (HIERARCH).
 ///
 /// # Errors
 /// As [`checked_keyword`].

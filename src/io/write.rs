@@ -16,8 +16,8 @@ use super::value::{Card, checked_keyword};
 use crate::atomic::Target;
 use crate::{Error, Result};
 
-/// Unit of electrons in the cards `BUNIT` and `TUNITn` of a file. FITS (4.0, section 4.3) has no unit `electron`, which strict
-/// readers refuse; an electron is a detected photon.
+/// Unit of electrons in the cards `BUNIT` and `TUNITn` of a file. FITS (4.0, section 4.3) has no
+/// unit `electron`, which strict readers refuse; an electron is a detected photon.
 pub const ELECTRON: &str = "photon";
 
 /// Comment of the cards with that unit.
@@ -34,11 +34,11 @@ pub enum Pixel {
     I32,
 }
 
-/// A FITS file being composed in memory. [`FitsWriter::finish`] writes a temporary file and renames it to the path; if the
-/// writer is dropped before, no file is written.
+/// A FITS file being composed in memory. [`FitsWriter::finish`] writes a temporary file and renames
+/// it to the path; if the writer is dropped before, no file is written.
 ///
-/// The primary HDU has no data, only the header cards of the file, among them ORIGIN and DATE; images and tables are named
-/// extensions. Each HDU has its DATASUM and CHECKSUM.
+/// The primary HDU has no data, only the header cards of the file, among them ORIGIN and DATE;
+/// images and tables are named extensions. Each HDU has its DATASUM and CHECKSUM.
 pub struct FitsWriter {
     path: PathBuf,
     handle: FitsHandle,
@@ -47,12 +47,12 @@ pub struct FitsWriter {
 }
 
 impl FitsWriter {
-    /// Starts a file that will be written to `path`, as a gzip stream where its extension is `gz`. An existing file will be
-    /// replaced, unless it is read-only.
+    /// Starts a file that will be written to `path`, as a gzip stream where its extension is `gz`.
+    /// An existing file will be replaced, unless it is read-only.
     ///
     /// # Errors
-    /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a plain file: checked
-    /// here, before hours of computation.
+    /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a
+    /// plain file: checked here, before hours of computation.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         if has_extension(&path, "fz") {
@@ -73,8 +73,9 @@ impl FitsWriter {
         Ok(file)
     }
 
-    /// Adds a map `[y, x]` over a square grid of side `grid_m`, the optical axis at its centre: the card `GRID_M`, and the
-    /// coordinates of its samples in m as cards of the world coordinate system.
+    /// Adds a map `[y, x]` over a square grid of side `grid_m`, the optical axis at its centre: the
+    /// card `GRID_M`, and the coordinates of its samples in m as cards of the world coordinate
+    /// system.
     ///
     /// # Errors
     /// As [`FitsWriter::image`].
@@ -93,12 +94,12 @@ impl FitsWriter {
         Ok(())
     }
 
-    /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none). A name `NAME,2` is the second HDU of
-    /// that name: its EXTVER is 2.
+    /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none). A name
+    /// `NAME,2` is the second HDU of that name: its EXTVER is 2.
     ///
     /// # Errors
-    /// [`Error::Value`] where a value does not fit `pixel`, or the name is in use or not printable ASCII; [`Error::Shape`]
-    /// for an array without elements.
+    /// [`Error::Value`] where a value does not fit `pixel`, or the name is in use or not printable
+    /// ASCII; [`Error::Shape`] for an array without elements.
     pub fn image<A, D>(&mut self, name: &str, array: &ArrayRef<A, D>, pixel: Pixel, unit: &str) -> Result<()>
     where
         A: Copy + Into<f64>,
@@ -122,7 +123,8 @@ impl FitsWriter {
         let (count, code, start) = data.raw();
         let mut first = vec![1_i64; axes.len()];
         self.call(|file, status| unsafe {
-            // SAFETY: one size and one first pixel per axis; `start` holds `count` values of type `code`.
+            // SAFETY: one size and one first pixel per axis; `start` holds `count` values of type
+            // `code`.
             sys::ffcrimll(file, bitpix, axes.len() as c_int, axes.as_mut_ptr(), status);
             sys::ffppxll(file, code, first.as_mut_ptr(), count as i64, start, status)
         })?;
@@ -137,8 +139,8 @@ impl FitsWriter {
     /// Adds a binary table; all columns have the same length. Names as for [`FitsWriter::image`].
     ///
     /// # Errors
-    /// [`Error::Shape`] for columns of different lengths or none; [`Error::Value`] for a name that is in use or not
-    /// printable ASCII.
+    /// [`Error::Shape`] for columns of different lengths or none; [`Error::Value`] for a name that
+    /// is in use or not printable ASCII.
     pub fn table(&mut self, name: &str, columns: &[Column]) -> Result<()> {
         let name = self.new_name(name)?;
         let rows =
@@ -190,8 +192,8 @@ impl FitsWriter {
         self.table(name, &[Column::text("LINE", text.lines())])
     }
 
-    /// Sets a card of HDU `hdu` (`PRIMARY`, or the name of an added HDU). A real number that is not finite, which FITS
-    /// cannot represent, is written as a card without value.
+    /// Sets a card of HDU `hdu` (`PRIMARY`, or the name of an added HDU). A real number that is not
+    /// finite, which FITS cannot represent, is written as a card without value.
     ///
     /// # Errors
     /// [`Error::Value`] for a keyword that FITS does not allow, or an HDU that does not exist.
@@ -220,8 +222,8 @@ impl FitsWriter {
     /// Writes the file under a temporary name in the same directory, and renames it to its path.
     ///
     /// # Errors
-    /// [`Error::File`] where that fails, for instance on a full disk: no new file is left then, and a previous file at the
-    /// path is unchanged.
+    /// [`Error::File`] where that fails, for instance on a full disk: no new file is left then, and
+    /// a previous file at the path is unchanged.
     pub fn finish(self) -> Result<()> {
         let Self { path, mut handle, names } = self;
         for index in 0..names.len() {
@@ -258,8 +260,9 @@ impl FitsWriter {
 
     /// Writes the list in a row of a column, both counted from 1.
     fn fill_list(&mut self, number: c_int, row: i64, list: &[f64]) -> Result<()> {
-        // cfitsio writes a list over the one that the row's descriptor names: a row that was not written holds any bytes.
-        // SAFETY: the call writes a descriptor of no elements into the current table.
+        // cfitsio writes a list over the one that the row's descriptor names: a row that was not
+        // written holds any bytes. SAFETY: the call writes a descriptor of no elements into the
+        // current table.
         self.call(|file, status| unsafe { sys::ffpdes(file, number, row, 0, 0, status) })?;
         if list.is_empty() {
             return Ok(());

@@ -1,8 +1,8 @@
-//! Closed-loop response to segment pistons, tips and tilts (AO leakage): the mirror's shape at rest, from a simulation of the loop on
-//! the segments alone, without turbulence and noise.
+//! Closed-loop response to segment pistons, tips and tilts (AO leakage): the mirror's shape at
+//! rest, from a simulation of the loop on the segments alone, without turbulence and noise.
 //!
-//! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated for each set of coefficients, and
-//! its linear part serves for first estimates only.
+//! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated
+//! for each set of coefficients, and its linear part serves for first estimates only.
 
 use super::mirror_shape::MirrorShape;
 use super::segment_surface::SegmentSurface;
@@ -20,13 +20,15 @@ const POKE_NM: f64 = 20.0;
 /// Change of a command in a frame below which the mirror is at rest, nm.
 const STILL_NM: f64 = 1e-3;
 
-/// Change where the linear part is measured, nm, 1/2000 of a poke. What it lacks is in the rest, which is simulated about the estimate.
+/// Change where the linear part is measured, nm, 1/2000 of a poke. What it lacks is in the rest,
+/// which is simulated about the estimate.
 const STILL_LINEAR_NM: f64 = 1e-2;
 
 /// Least number of pokes that a thread takes at once: enough to pay for its copy of the loop.
 const POKES_PER_THREAD: usize = 16;
 
-/// Closed-loop response of a scene to its segments. Their coefficients are all pistons, or all pistons, all tips and all tilts, nm.
+/// Closed-loop response of a scene to its segments. Their coefficients are all pistons, or all
+/// pistons, all tips and all tilts, nm.
 pub struct ClosedLoopResponse {
     at_rest: LoopAtRest,
     /// Index in the loop's map of each sample that a segment owns.
@@ -53,10 +55,12 @@ impl ClosedLoopResponse {
         Ok(Self { at_rest: LoopAtRest::from(simulator), owned, surface, mirror })
     }
 
-    /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm, from those of the last simulation.
+    /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm,
+    /// from those of the last simulation.
     ///
     /// # Errors
-    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of [`LoopAtRest::commands_nm`].
+    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of
+    /// [`LoopAtRest::commands_nm`].
     pub fn commands_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
         self.surface.check(segments_nm)?;
         let mut opd_nm = self.at_rest.footprint().zeros();
@@ -71,7 +75,8 @@ impl ClosedLoopResponse {
         }
     }
 
-    /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind segments with these coefficients, nm.
+    /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind
+    /// segments with these coefficients, nm.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
@@ -80,7 +85,8 @@ impl ClosedLoopResponse {
         Ok(self.wavefront_nm(commands_nm.view()))
     }
 
-    /// Contribution of the mirror with these commands to the wavefront at each illuminated sample, nm.
+    /// Contribution of the mirror with these commands to the wavefront at each illuminated sample,
+    /// nm.
     pub(crate) fn wavefront_nm(&self, commands_nm: ArrayView1<f64>) -> Array1<f64> {
         // The mirror's shape is subtracted from the wavefront.
         -self.mirror.wavefront_nm(commands_nm)
@@ -100,8 +106,9 @@ impl ClosedLoopResponse {
         Ok(responses)
     }
 
-    /// Measures the linear part of [`ClosedLoopResponse::commands_nm`] about segments of `about_nm`, for 1 nm of each of the coefficients
-    /// `modes` (pistons, tips, tilts in turn), `[mode, actuator]`.
+    /// Measures the linear part of [`ClosedLoopResponse::commands_nm`] about segments of
+    /// `about_nm`, for 1 nm of each of the coefficients `modes` (pistons, tips, tilts in turn),
+    /// `[mode, actuator]`.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].

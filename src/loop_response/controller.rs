@@ -1,8 +1,11 @@
-//! Corrections in the terms of a controller: its channels, with their names, units, signs and limits.
+//! Corrections in the terms of a controller: its channels, with their names, units, signs and
+//! limits.
 //!
-//! Channel k receives `c_k = s_k Σ_j M_kj a_j` of the corrections a_j of all elements (segments or actuators), nm of wavefront. M is
-//! the scene's matrix with s = 1; with a table and no matrix a channel receives the correction of one element; with both the table
-//! names, scales and limits the rows of the matrix. A matrix of the segments may have columns for tips and tilts after the pistons'.
+//! Channel k receives `c_k = s_k Σ_j M_kj a_j` of the corrections a_j of all elements (segments or
+//! actuators), nm of wavefront. M is the scene's matrix with s = 1; with a table and no matrix a
+//! channel receives the correction of one element; with both the table names, scales and limits the
+//! rows of the matrix. A matrix of the segments may have columns for tips and tilts after the
+//! pistons'.
 
 use crate::io::{Column, TextRow, TextTable, read_map, read_text};
 use crate::scene::System;
@@ -65,7 +68,8 @@ impl Commands {
         ]
     }
 
-    /// A comment with the unit of `what`, and a line for each channel: name and what to add. Empty without channels.
+    /// A comment with the unit of `what`, and a line for each channel: name and what to add. Empty
+    /// without channels.
     pub(super) fn text(&self, what: &str) -> String {
         let line = |channel: &Command| {
             let mark = if channel.is_limited { " # at its limit" } else { "" };
@@ -105,11 +109,13 @@ struct Channel {
     limit: Option<f64>,
 }
 
-/// Commands of the scene's controller of `moved` for `additions_nm`, the correction of each element, and `tilts_nm` of the tip, then
-/// of the tilt of each segment (none: 0); `None` where the scene describes no controller.
+/// Commands of the scene's controller of `moved` for `additions_nm`, the correction of each
+/// element, and `tilts_nm` of the tip, then of the tilt of each segment (none: 0); `None` where the
+/// scene describes no controller.
 ///
 /// # Errors
-/// [`Error::File`] for a table or a matrix that cannot be read, that does not fit the elements, or that leaves one out.
+/// [`Error::File`] for a table or a matrix that cannot be read, that does not fit the elements, or
+/// that leaves one out.
 pub(super) fn commands(
     scene: &System,
     moved: Moved,
@@ -156,7 +162,8 @@ impl Channel {
     }
 }
 
-/// What the rows of a matrix receive: of the corrections of all elements, and of as many tilts as it has further columns.
+/// What the rows of a matrix receive: of the corrections of all elements, and of as many tilts as
+/// it has further columns.
 fn rows_moved(matrix: &Array2<f64>, additions_nm: &[f64], tilts_nm: &[f64]) -> Vec<f64> {
     let mut all_nm = [additions_nm, tilts_nm].concat();
     all_nm.resize(matrix.ncols(), 0.0);
@@ -182,7 +189,8 @@ fn read_matrix(path: &Path, moved: Moved, elements: usize) -> Result<Array2<f64>
     }
 }
 
-/// The channels of a table that move each of `elements`, called `element`, or why it is not accepted.
+/// The channels of a table that move each of `elements`, called `element`, or why it is not
+/// accepted.
 fn parse(text: &str, elements: usize, element: &str) -> std::result::Result<Vec<Channel>, String> {
     let (mut channels, mut names, mut moved): (Vec<Channel>, _, _) = (Vec::new(), BTreeSet::new(), BTreeSet::new());
     for row in TextTable::new(text).rows {

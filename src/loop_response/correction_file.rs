@@ -1,4 +1,5 @@
-//! Corrections from a file, applied to simulated aberrations: what is left when segments and mirror have moved.
+//! Corrections from a file, applied to simulated aberrations: what is left when segments and mirror
+//! have moved.
 
 use super::corrections::Corrections;
 use crate::ao::{Simulator, actuators_in_use};
@@ -27,7 +28,8 @@ impl SentCorrections {
     /// Reads the FITS file that [`Corrections::write`] wrote.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that cannot be read, has neither segments nor actuators, or a number that is not finite.
+    /// [`Error::File`] for a file that cannot be read, has neither segments nor actuators, or a
+    /// number that is not finite.
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = FitsReader::open(path)?;
         let mut column = |table: &str, name: &str| {
@@ -50,10 +52,12 @@ impl SentCorrections {
         }
     }
 
-    /// The aberrations that remain of `truth`: increments are added to the segments, and the surface of the mirror is taken off the NCPA.
+    /// The aberrations that remain of `truth`: increments are added to the segments, and the
+    /// surface of the mirror is taken off the NCPA.
     ///
     /// # Errors
-    /// [`Error::Shape`] for corrections of another number of segments or actuators than `scene` has; those of building the mirror.
+    /// [`Error::Shape`] for corrections of another number of segments or actuators than `scene`
+    /// has; those of building the mirror.
     pub fn apply(&self, truth: Truth, scene: &System, telescope: &Telescope) -> Result<Truth> {
         let truth = self.move_segments(truth, telescope)?;
         if self.actuators_nm.iter().all(|nm| *nm == 0.0) {
@@ -65,8 +69,9 @@ impl SentCorrections {
         truth.with_added_ncpa(telescope, SmoothBasis::influence(influence), opposite_nm)
     }
 
-    /// The AO system of `scene` after the corrections `sent`: segments have moved, and the loop is closed about reference slopes that have; the
-    /// mirror is where the loop puts it. Corrections without reference slopes are taken off the NCPA as [`SentCorrections::apply`] does.
+    /// The AO system of `scene` after the corrections `sent`: segments have moved, and the loop is
+    /// closed about reference slopes that have; the mirror is where the loop puts it. Corrections
+    /// without reference slopes are taken off the NCPA as [`SentCorrections::apply`] does.
     ///
     /// # Errors
     /// As [`SentCorrections::apply`] and [`Simulator::with_moved_reference`].

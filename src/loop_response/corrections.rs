@@ -1,10 +1,11 @@
-//! Corrections from an estimate: increments of the segments' pistons, tips and tilts, of the mirror's commands and of the sensor's
-//! reference slopes.
+//! Corrections from an estimate: increments of the segments' pistons, tips and tilts, of the
+//! mirror's commands and of the sensor's reference slopes.
 //!
-//! The scene's section `[commands]` says which modes are corrected, and by how much ([`CorrectionPolicy`]). Tip and tilt, which are pointing,
-//! are left unchanged. Segments and subapertures are in this program's order, wavefronts in nm. A positive piston raises the wavefront; the
-//! mirror's surface is taken off the wavefront, as in the simulator. [`Commands`] are the same in the terms of the controllers that the scene
-//! describes.
+//! The scene's section `[commands]` says which modes are corrected, and by how much
+//! ([`CorrectionPolicy`]). Tip and tilt, which are pointing, are left unchanged. Segments and
+//! subapertures are in this program's order, wavefronts in nm. A positive piston raises the
+//! wavefront; the mirror's surface is taken off the wavefront, as in the simulator. [`Commands`]
+//! are the same in the terms of the controllers that the scene describes.
 
 mod errors;
 mod file;
@@ -27,10 +28,11 @@ pub struct Corrections {
     pub places: Vec<SegmentPlace>,
     /// Increment of each segment's piston, nm; 0 where it stays.
     pub pistons_nm: Vec<f64>,
-    /// Estimate of each piston and its error bar, nm, both without the mean of all pistons, or the plane through
-    /// them, which no correction changes.
+    /// Estimate of each piston and its error bar, nm, both without the mean of all pistons, or the
+    /// plane through them, which no correction changes.
     pub estimate_nm: Vec<[f64; 2]>,
-    /// Increments of the tip of each segment, then of the tilt of each, nm RMS over the segment; empty where they were not estimated.
+    /// Increments of the tip of each segment, then of the tilt of each, nm RMS over the segment;
+    /// empty where they were not estimated.
     pub tilts_nm: Vec<f64>,
     /// Estimate of each tip, then of each tilt, and its error bar, nm RMS over the segment.
     pub tilt_estimate_nm: Vec<[f64; 2]>,
@@ -40,16 +42,19 @@ pub struct Corrections {
     pub ncpa: Vec<ModeCorrection>,
     /// Number of corrected NCPA modes.
     pub corrected_modes: usize,
-    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by that convention), and of the NCPA modes, nm².
+    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by that
+    /// convention), and of the NCPA modes, nm².
     pub expected_drop_nm2: [f64; 2],
     /// The policy, from the scene's section `[commands]`.
     pub policy: CorrectionPolicy,
-    /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty where the scene names no mirror.
+    /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty where
+    /// the scene names no mirror.
     pub actuators_nm: Vec<([f64; 2], f64)>,
-    /// Increments of the sensor's reference slopes, all x then all y, mas, with which the loop puts the correction on the mirror; empty where no
-    /// slopes were measured, and for maps of NCPA.
+    /// Increments of the sensor's reference slopes, all x then all y, mas, with which the loop puts
+    /// the correction on the mirror; empty where no slopes were measured, and for maps of NCPA.
     pub slopes_mas: Vec<f64>,
-    /// Pistons, and where its matrix takes them tips and tilts, in the terms of the segments' controller, where the scene describes one.
+    /// Pistons, and where its matrix takes them tips and tilts, in the terms of the segments'
+    /// controller, where the scene describes one.
     pub segment_commands: Option<Commands>,
     /// The mirror's commands in the terms of its controller, where the scene describes one.
     pub actuator_commands: Option<Commands>,
@@ -83,12 +88,12 @@ const NO_REFERENCE: &str = "reference slopes are left out: without measured slop
      responds to the NCPA, as turbulence blurs its spots";
 
 impl Corrections {
-    /// The corrections of `errors`, no increment beyond `limit_nm` (`None`: the mirror's stroke for actuators, and the limit of the
-    /// errors for segments).
+    /// The corrections of `errors`, no increment beyond `limit_nm` (`None`: the mirror's stroke for
+    /// actuators, and the limit of the errors for segments).
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive; [`Error::File`] for a controller that does not fit; those of building the
-    /// scene's loop.
+    /// [`Error::Value`] for a limit that is not positive; [`Error::File`] for a controller that
+    /// does not fit; those of building the scene's loop.
     pub fn new(scene: &System, errors: &CorrectableErrors, limit_nm: Option<f64>) -> Result<Self> {
         if let Some(limit_nm) = limit_nm.filter(|limit_nm| !(limit_nm.is_finite() && *limit_nm > 0.0)) {
             return Err(Error::Value(format!("a limit of {limit_nm} nm was given: a positive one is needed")));
@@ -165,7 +170,8 @@ impl Corrections {
         })
     }
 
-    /// Reads the controllers that `scene` describes, so that a mistake in them is found before an estimate.
+    /// Reads the controllers that `scene` describes, so that a mistake in them is found before an
+    /// estimate.
     ///
     /// # Errors
     /// [`Error::File`] as [`Corrections::new`]; those of building the telescope.
@@ -179,7 +185,8 @@ impl Corrections {
     }
 }
 
-/// Why each of `count` modes stays: as `held` says, and of `left` modes from number `first` on because they are never corrected.
+/// Why each of `count` modes stays: as `held` says, and of `left` modes from number `first` on
+/// because they are never corrected.
 fn reasons(count: usize, left: usize, first: usize, held: &[HeldMode]) -> Vec<Option<HoldReason>> {
     let mut reasons = vec![None; count];
     held.iter().for_each(|one| reasons[one.mode] = Some(one.reason));

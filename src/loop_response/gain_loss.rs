@@ -1,24 +1,30 @@
-//! Gains of slopes that depend on their own subaperture alone: turbulence within a subaperture blurs its spot, and the slope of a quad
-//! cell changes less with a wavefront the wider the spot is.
+//! Gains of slopes that depend on their own subaperture alone: turbulence within a subaperture
+//! blurs its spot, and the slope of a quad cell changes less with a wavefront the wider the spot
+//! is.
 //!
-//! On Keck the gain of a slope scatters by 30 % from image to image, and so its mean over 25 images by 6 %, which reference slopes would put on the mirror.
-//! Turbulence is the same over the pupil, so the means of all slopes are shrunk towards their common one by as much as scatter explains
+//! On Keck the gain of a slope scatters by 30 % from image to image, and so its mean over 25 images
+//! by 6 %, which reference slopes would put on the mirror. Turbulence is the same over the pupil,
+//! so the means of all slopes are shrunk towards their common one by as much as scatter explains
 //! their differences (James & Stein 1961).
 //!
-//! A loop is faster than turbulence crosses a subaperture, and follows the gains as they change. With the interaction matrix D, the reconstructor M (M·D = 1), the
-//! diagonal matrix of the gains ḡ(1 + E) and reference slopes r its commands c are at rest where M·ḡ(1 + E)·D·c = M·r. To second order in the relative scatter σ of the
-//! gains, which is independent from slope to slope, their mean is
+//! A loop is faster than turbulence crosses a subaperture, and follows the gains as they change.
+//! With the interaction matrix D, the reconstructor M (M·D = 1), the diagonal matrix of the gains
+//! ḡ(1 + E) and reference slopes r its commands c are at rest where M·ḡ(1 + E)·D·c = M·r. To second
+//! order in the relative scatter σ of the gains, which is independent from slope to slope, their
+//! mean is
 //!
 //! ```text
 //! ⟨c⟩ = (1 + M⟨E·DM·E⟩D)·M·r/ḡ = (1 + p·σ²)·M·r/ḡ,
 //! ```
 //!
-//! with the mean p of the diagonal of the projection DM: controlled modes over slopes, 0.6 on Keck. By this 5 % the reference slopes have to be smaller.
+//! with the mean p of the diagonal of the projection DM: controlled modes over slopes, 0.6 on Keck.
+//! By this 5 % the reference slopes have to be smaller.
 
 use ndarray::{Array1, ArrayView1, ArrayView2, Axis};
 
-/// Gain of each slope in a loop: the mean of its `responses` to a tilt (`[image, slope]`) over that of a flat wavefront, `flat`, less what the loop
-/// follows, with `share` of the slopes' dimensions controlled; 0 for a slope that does not respond.
+/// Gain of each slope in a loop: the mean of its `responses` to a tilt (`[image, slope]`) over that
+/// of a flat wavefront, `flat`, less what the loop follows, with `share` of the slopes' dimensions
+/// controlled; 0 for a slope that does not respond.
 pub(super) fn loop_gains(responses: ArrayView2<f64>, flat: ArrayView1<f64>, share: f64) -> Array1<f64> {
     let images = responses.nrows() as f64;
     let mut gains = Array1::zeros(flat.len());
@@ -61,13 +67,15 @@ mod tests {
 
     #[test]
     fn equal_gains_are_pooled_and_those_that_differ_are_kept() {
-        // All slopes know a common gain to 0.045/√400 = 0.002; by chance up to a tenth of the scatter is taken for differences.
+        // All slopes know a common gain to 0.045/√400 = 0.002; by chance up to a tenth of the
+        // scatter is taken for differences.
         assert!(error(|_| 0.5) < 0.01, "{}", error(|_| 0.5));
         let differ = |slope: usize| if slope < SLOPES / 2 { 0.3 } else { 0.7 };
         assert!((0.02..0.05).contains(&error(differ)), "{}", error(differ));
     }
 
-    /// A loop of six modes and ten slopes, at rest about reference slopes with each of many draws of the gains.
+    /// A loop of six modes and ten slopes, at rest about reference slopes with each of many draws
+    /// of the gains.
     #[test]
     fn gain_loss_agrees_with_the_second_order_formula() {
         let (modes, slopes, draws) = (6, 10, 4000);
@@ -89,7 +97,8 @@ mod tests {
             mean += &(inverse(&square).dot(&right) / draws as f64);
         }
         let along = mean.dot(&wanted) / wanted.dot(&wanted);
-        // The next order of a scatter of 0.2 is some 0.2⁴ times a few; without the second order it is 1 + 0.6·0.04 = 1.024 at least.
+        // The next order of a scatter of 0.2 is some 0.2⁴ times a few; without the second order it
+        // is 1 + 0.6·0.04 = 1.024 at least.
         assert!((along - 1.0).abs() < 0.01, "{along}");
     }
 

@@ -7,8 +7,8 @@ use crate::pupil::Grid;
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use rayon::prelude::*;
 
-/// Regularisation of the fit of the mirror's commands, as a fraction of the strongest actuator's: bounds the commands of actuators
-/// at the edge of the pupil.
+/// Regularisation of the fit of the mirror's commands, as a fraction of the strongest actuator's:
+/// bounds the commands of actuators at the edge of the pupil.
 const REGULARISATION: f64 = 1e-4;
 
 /// Fit of a mirror's commands to wavefronts.
@@ -34,7 +34,8 @@ impl MirrorFit {
         Ok(Self { shape, weights: samples.weights.clone(), factor: CholeskyFactor::new(&gram)? })
     }
 
-    /// The commands with which the mirror is nearest to wavefronts, `[wavefront, sample]`; `[actuator, wavefront]`, both nm.
+    /// The commands with which the mirror is nearest to wavefronts, `[wavefront, sample]`;
+    /// `[actuator, wavefront]`, both nm.
     pub(super) fn commands_nm(&self, wavefronts_nm: ArrayView2<f64>) -> Array2<f64> {
         let weights = ArrayView1::from(&self.weights);
         let mut products = Array2::zeros((self.factor.size(), wavefronts_nm.nrows()));
@@ -74,7 +75,8 @@ mod tests {
         let shape_nm = |nm: &Array1<f64>| fit.shapes_nm(nm.view().insert_axis(Axis(0))).remove_axis(Axis(0));
         let norm =
             |nm: &Array1<f64>| nm.iter().zip(&samples.weights).map(|(nm, weight)| weight * nm * nm).sum::<f64>().sqrt();
-        // The regularisation holds back what actuators at the edge do to few samples: a part in a hundred.
+        // The regularisation holds back what actuators at the edge do to few samples: a part in a
+        // hundred.
         assert!(norm(&(shape_nm(&own_nm) - &own_nm)) < 0.01 * norm(&own_nm));
         let fine_nm: Array1<f64> =
             samples.xs_m.iter().zip(&samples.ys_m).map(|(x, y)| 50.0 * (9.0 * x + 5.0 * y).sin()).collect();

@@ -1,8 +1,9 @@
 //! Shape of a deformable mirror at samples of a square grid, from its commands.
 //!
-//! A Gaussian influence function is the product of one in x and one in y, so the shape is `G_yᵀ·C·G_x` with the commands C on their square
-//! grid: n·a·(n + a) operations and n·a numbers for n samples and a actuators a side, where the influence of each actuator at each sample
-//! would be n²·a² of both. Of measured functions the values that are not 0 are kept.
+//! A Gaussian influence function is the product of one in x and one in y, so the shape is
+//! `G_yᵀ·C·G_x` with the commands C on their square grid: n·a·(n + a) operations and n·a numbers
+//! for n samples and a actuators a side, where the influence of each actuator at each sample would
+//! be n²·a² of both. Of measured functions the values that are not 0 are kept.
 
 use crate::modes::{InfluenceFunctions, reach};
 use crate::retrieval::IlluminatedSamples;
@@ -19,7 +20,8 @@ pub(super) struct MirrorShape {
 
 enum Functions {
     Separable {
-        /// Influence of a column or row of actuators at a column or row of samples, `[actuators, samples]`.
+        /// Influence of a column or row of actuators at a column or row of samples,
+        /// `[actuators, samples]`.
         along: Array2<f64>,
         /// Index of each actuator on the square grid.
         actuators: Vec<usize>,
@@ -36,7 +38,8 @@ impl MirrorShape {
         Self::at(influence, &samples.indices, &coordinates_m)
     }
 
-    /// Of the mirror `influence` at the samples with these flat `indices`, on the square grid with these coordinates along both axes.
+    /// Of the mirror `influence` at the samples with these flat `indices`, on the square grid with
+    /// these coordinates along both axes.
     pub(super) fn at(influence: &InfluenceFunctions, indices: &[usize], coordinates_m: &[f64]) -> Self {
         let functions = if influence.is_separable() {
             let (along, actuators) = influence.along(coordinates_m);
@@ -84,7 +87,8 @@ impl MirrorShape {
         map
     }
 
-    /// Sum over the samples, with these weights, of the products of the influence of each two actuators, `[actuator, actuator]`.
+    /// Sum over the samples, with these weights, of the products of the influence of each two
+    /// actuators, `[actuator, actuator]`.
     pub(super) fn gram(&self, weights: &[f64]) -> Array2<f64> {
         match &self.functions {
             Functions::Separable { along, actuators } => {
@@ -106,7 +110,8 @@ impl MirrorShape {
         }
     }
 
-    /// Sum over the samples of a wavefront times the influence of each actuator: the transpose of [`MirrorShape::wavefront_nm`].
+    /// Sum over the samples of a wavefront times the influence of each actuator: the transpose of
+    /// [`MirrorShape::wavefront_nm`].
     pub(super) fn products(&self, wavefront_nm: ArrayView1<f64>) -> Array1<f64> {
         match &self.functions {
             Functions::Separable { along, actuators } => {
@@ -122,8 +127,9 @@ impl MirrorShape {
     }
 }
 
-/// Sum over the samples, whose `weights` are a map, of the products of each two functions that are products of one in x and one in y,
-/// `[actuator, actuator]`. Pairs of rows come first, then pairs of columns, both within the reach of the functions.
+/// Sum over the samples, whose `weights` are a map, of the products of each two functions that are
+/// products of one in x and one in y, `[actuator, actuator]`. Pairs of rows come first, then pairs
+/// of columns, both within the reach of the functions.
 fn separable_gram(along: &Array2<f64>, actuators: &[usize], weights: &Array2<f64>) -> Array2<f64> {
     let (across, n) = along.dim();
     let mut in_row: Vec<Vec<(usize, usize)>> = vec![Vec::new(); across];
@@ -148,8 +154,8 @@ fn separable_gram(along: &Array2<f64>, actuators: &[usize], weights: &Array2<f64
     gram
 }
 
-/// Number of each of the samples with these flat `indices` that an actuator moves, and the influence on it, on the square grid with these
-/// coordinates along both axes.
+/// Number of each of the samples with these flat `indices` that an actuator moves, and the
+/// influence on it, on the square grid with these coordinates along both axes.
 fn moved_samples(influence: &InfluenceFunctions, indices: &[usize], coordinates_m: &[f64]) -> Vec<Vec<(u32, f64)>> {
     let n = coordinates_m.len();
     let mut numbers = vec![None; n * n];

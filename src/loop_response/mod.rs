@@ -1,4 +1,5 @@
-//! Response of the closed AO loop: to the segments, of the wavefront sensor to NCPA, and the corrections that it takes.
+//! Response of the closed AO loop: to the segments, of the wavefront sensor to NCPA, and the
+//! corrections that it takes.
 
 mod closed_loop;
 mod controller;

@@ -1,9 +1,11 @@
-//! Layout of the segments, as corrections need it: edges that they share, and the plane through them.
+//! Layout of the segments, as corrections need it: edges that they share, and the plane through
+//! them.
 
 use crate::pupil::Segment;
 use ndarray::{Array1, Array2, Axis};
 
-/// Pairs of segments that share an edge: their centres are as near as those of any two, within a tenth of that distance.
+/// Pairs of segments that share an edge: their centres are as near as those of any two, within a
+/// tenth of that distance.
 pub(super) fn edges(segments: &[Segment]) -> Vec<(usize, usize)> {
     let distance_m =
         |(i, j): (usize, usize)| (segments[i].x_m - segments[j].x_m).hypot(segments[i].y_m - segments[j].y_m);
@@ -12,8 +14,8 @@ pub(super) fn edges(segments: &[Segment]) -> Vec<(usize, usize)> {
     pairs().filter(|pair| distance_m(*pair) < 1.1 * nearest_m).collect()
 }
 
-/// Orthonormal directions of the pistons that all segments have in common: their mean, and the plane through them where there are more than
-/// three segments, which define any plane.
+/// Orthonormal directions of the pistons that all segments have in common: their mean, and the
+/// plane through them where there are more than three segments, which define any plane.
 pub(super) fn common_directions(segments: &[Segment]) -> Vec<Array1<f64>> {
     let values = |value: &dyn Fn(&Segment) -> f64| segments.iter().map(value).collect::<Array1<f64>>();
     let plane = [values(&|_| 1.0), values(&|segment| segment.x_m), values(&|segment| segment.y_m)];
@@ -30,7 +32,8 @@ pub(super) fn common_directions(segments: &[Segment]) -> Vec<Array1<f64>> {
     directions
 }
 
-/// Projection of `count` pistons that removes `directions`, which are orthonormal, `[segment, segment]`.
+/// Projection of `count` pistons that removes `directions`, which are orthonormal,
+/// `[segment, segment]`.
 pub(super) fn projection_without(count: usize, directions: &[Array1<f64>]) -> Array2<f64> {
     let mut projection = Array2::eye(count);
     for direction in directions {

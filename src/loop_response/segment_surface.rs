@@ -1,5 +1,5 @@
-//! Wavefront of segments with pistons, tips and tilts, at samples that each belong to one segment: edges are sharp, as a wavefront
-//! sensor sees them.
+//! Wavefront of segments with pistons, tips and tilts, at samples that each belong to one segment:
+//! edges are sharp, as a wavefront sensor sees them.
 
 use crate::modes::tilt_frames;
 use crate::pupil::Pupil;
@@ -10,13 +10,14 @@ pub(super) struct SegmentSurface {
     segments: usize,
     /// Segment of each sample.
     owners: Vec<u32>,
-    /// Wavefront of 1 nm of its tip and of its tilt at each sample; empty where a segment is too small for tilts.
+    /// Wavefront of 1 nm of its tip and of its tilt at each sample; empty where a segment is too
+    /// small for tilts.
     tilts: Vec<[f32; 2]>,
 }
 
 impl SegmentSurface {
-    /// At `samples` of the grid of `pupil`, `(y, x)` with their segment. Tips and tilts are those of the modes of `telescope_pupil`,
-    /// whose grid is another.
+    /// At `samples` of the grid of `pupil`, `(y, x)` with their segment. Tips and tilts are those
+    /// of the modes of `telescope_pupil`, whose grid is another.
     pub(super) fn new(samples: &[((usize, usize), usize)], pupil: &Pupil, telescope_pupil: &Pupil) -> Self {
         let segments = pupil.segments.len();
         let owners = samples.iter().map(|&(_, owner)| owner as u32).collect();
@@ -36,7 +37,8 @@ impl SegmentSurface {
         self.segments
     }
 
-    /// Checks coefficients of the segments, nm: all pistons, or all pistons, all tips and all tilts.
+    /// Checks coefficients of the segments, nm: all pistons, or all pistons, all tips and all
+    /// tilts.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number.
@@ -50,7 +52,8 @@ impl SegmentSurface {
         )))
     }
 
-    /// Wavefront of the segments at a sample, by its place among those of [`SegmentSurface::new`], nm.
+    /// Wavefront of the segments at a sample, by its place among those of [`SegmentSurface::new`],
+    /// nm.
     pub(super) fn wavefront_nm(&self, sample: usize, segments_nm: &[f64]) -> f64 {
         let owner = self.owners[sample] as usize;
         let piston_nm = segments_nm[owner];

@@ -1,8 +1,10 @@
-//! Wavefront sensor model: slopes of retrieved wavefronts, to compare with the slopes measured during each exposure.
+//! Wavefront sensor model: slopes of retrieved wavefronts, to compare with the slopes measured
+//! during each exposure.
 //!
-//! Sensor and camera measure the same turbulence at the same time; only the NCPA are the camera's own. In the differences of slopes
-//! the turbulence, its aliases, the mirror and the segments cancel image by image, and the scatter is that of the noise of sensor
-//! and retrieval: 2 nm of a mode in an image instead of 20.
+//! Sensor and camera measure the same turbulence at the same time; only the NCPA are the camera's
+//! own. In the differences of slopes the turbulence, its aliases, the mirror and the segments
+//! cancel image by image, and the scatter is that of the noise of sensor and retrieval: 2 nm of a
+//! mode in an image instead of 20.
 
 mod interpolation;
 #[cfg(test)]
@@ -26,25 +28,29 @@ use interpolation::{interpolated, interpolation};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
 
-/// Amplitude with which the response to a mode is measured, ±, nm RMS: small against the sensor's wavelength.
+/// Amplitude with which the response to a mode is measured, ±, nm RMS: small against the sensor's
+/// wavelength.
 const POKE_NM: f64 = 10.0;
 
-/// Images about which the response is measured: spots blurred by turbulence reduce a quad cell's gain, nearly equally in every
-/// image.
+/// Images about which the response is measured: spots blurred by turbulence reduce a quad cell's
+/// gain, nearly equally in every image.
 const RESPONSE_IMAGES: usize = 6;
 
 /// Tilt with which the gains of single slopes are measured, ±: 1 mas.
 const TILT_NM_PER_M: f64 = 4.85;
 
-/// Relative error of the shape that a mirror has taken about moved reference slopes, RMS, as a whole: the gain of a quad cell changes with turbulence, and slopes
-/// weight images by it. About 74 nm of NCPA on Keck four sequences of 25 images, of different turbulence, had errors of 0.8, 1.2, 1.8 and 2.9 nm along
-/// that shape, where the scatter between their images made error bars of 0.5 nm.
+/// Relative error of the shape that a mirror has taken about moved reference slopes, RMS, as a
+/// whole: the gain of a quad cell changes with turbulence, and slopes weight images by it. About 74
+/// nm of NCPA on Keck four sequences of 25 images, of different turbulence, had errors of 0.8, 1.2,
+/// 1.8 and 2.9 nm along that shape, where the scatter between their images made error bars of 0.5
+/// nm.
 const MOVED_SHAPE_ERROR: f64 = 0.025;
 
 /// Response of a mode to reference slopes, over the RMS of all, below which it has not been moved.
 const LEAST_RESPONSE: f64 = 1e-3;
 
-/// Least number of measurements that a thread makes at once: enough to pay for its copy of the sensor.
+/// Least number of measurements that a thread makes at once: enough to pay for its copy of the
+/// sensor.
 const ROWS_OF_A_THREAD: usize = 4;
 
 /// A thread's own copy of the sensor, with its work arrays.
@@ -79,7 +85,8 @@ pub struct SensorModel {
     reference_mas_per_nm: Option<Array2<f64>>,
     /// By how much corrections have moved the reference slopes, mas.
     moved_reference_mas: Option<Array1<f64>>,
-    /// Measured slopes over those of the wavefronts: turbulence that an exposure averages, and a retrieval does not resolve, blurs spots further.
+    /// Measured slopes over those of the wavefronts: turbulence that an exposure averages, and a
+    /// retrieval does not resolve, blurs spots further.
     gain: f64,
 }
 
@@ -131,7 +138,8 @@ impl SensorModel {
         })
     }
 
-    /// This sensor in a loop whose reference slopes corrections of the NCPA have moved by `moved_mas`.
+    /// This sensor in a loop whose reference slopes corrections of the NCPA have moved by
+    /// `moved_mas`.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of slopes, [`Error::Value`] for one that is not finite.
@@ -155,14 +163,14 @@ impl SensorModel {
         self.sensor.slopes()
     }
 
-    /// Reference slopes about which a loop behind segments without errors moves its mirror by 1 nm of each mode, `[mode, slope]`, mas; `None`
-    /// before [`SensorModel::ncpa_information`].
+    /// Reference slopes about which a loop behind segments without errors moves its mirror by 1 nm
+    /// of each mode, `[mode, slope]`, mas; `None` before [`SensorModel::ncpa_information`].
     pub fn reference_mas_per_nm(&self) -> Option<&Array2<f64>> {
         self.reference_mas_per_nm.as_ref()
     }
 
-    /// Compares the slopes measured during each exposure (`[image, slope]`, mas) with those of the images' wavefronts (`[image,
-    /// sample]`, nm), segments and NCPA included.
+    /// Compares the slopes measured during each exposure (`[image, slope]`, mas) with those of the
+    /// images' wavefronts (`[image, sample]`, nm), segments and NCPA included.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of slopes or images.
@@ -216,7 +224,8 @@ impl SensorModel {
         )
     }
 
-    /// Computes the slopes of a wavefront: segments with sharp edges, and the rest at the samples of the sensor.
+    /// Computes the slopes of a wavefront: segments with sharp edges, and the rest at the samples
+    /// of the sensor.
     fn measure(&self, own: &mut OwnSensor, segments_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
         for (sample, (&index, rest)) in self.indices.iter().zip(rest_nm).enumerate() {
             own.map_nm[index] = (rest + self.surface.wavefront_nm(sample, segments_nm)) as f32;
@@ -225,9 +234,10 @@ impl SensorModel {
         Ok(own.slopes_mas.iter().map(|&slope| f64::from(slope)).collect())
     }
 
-    /// Information on the NCPA from the wavefronts (`[image, sample]`, nm) of images and the slopes measured during each
-    /// (`[image, slope]`, mas), about previous estimates of the static errors: coefficients `segments_nm` of the segment modes
-    /// `segments` (`[mode, sample]`), and of the NCPA.
+    /// Information on the NCPA from the wavefronts (`[image, sample]`, nm) of images and the slopes
+    /// measured during each (`[image, slope]`, mas), about previous estimates of the static errors:
+    /// coefficients `segments_nm` of the segment modes `segments` (`[mode, sample]`), and of the
+    /// NCPA.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of slopes, images or segment modes.
@@ -267,8 +277,9 @@ impl SensorModel {
         let rests_nm = rests_nm.view();
         let mut expected_mas = Array2::zeros((images, slopes));
         self.fill_rows(expected_mas.view_mut(), |image, own| self.measure(own, segments_nm, rests_nm.row(image)))?;
-        // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
-        // iterations end where the differences vanish, for any response.
+        // Measured once: small changes of the static errors change the response by less than its
+        // scatter over images, and the iterations end where the differences vanish, for any
+        // response.
         let response = match self.response.take() {
             Some(known) => known,
             None => {
@@ -300,7 +311,8 @@ impl SensorModel {
         Ok(coefficients_nm)
     }
 
-    /// The modes that the mirror took where corrections have moved the reference slopes, nm: least squares.
+    /// The modes that the mirror took where corrections have moved the reference slopes, nm: least
+    /// squares.
     fn moved_shape_nm(&self) -> Result<Option<Array1<f64>>> {
         let (Some(moved_mas), Some(per_nm)) = (&self.moved_reference_mas, &self.reference_mas_per_nm) else {
             return Ok(None);
@@ -311,13 +323,17 @@ impl SensorModel {
         Ok(Some(SpdInverse::new(&normal)?.inverse.dot(&per_nm.dot(moved_mas))))
     }
 
-    /// Measures the reference slopes for 1 nm of each mode, `[mode, slope]`, mas, from the response about the images' wavefronts.
+    /// Measures the reference slopes for 1 nm of each mode, `[mode, slope]`, mas, from the response
+    /// about the images' wavefronts.
     ///
-    /// A slope that depends on its own subaperture alone has the response of a flat wavefront times the gain that the turbulence of the images
-    /// leaves it. Steps between segments reduce it further, but they are corrected with the NCPA.
+    /// A slope that depends on its own subaperture alone has the response of a flat wavefront times
+    /// the gain that the turbulence of the images leaves it. Steps between segments reduce it
+    /// further, but they are corrected with the NCPA.
     ///
-    /// The loop is to make the shape that is nearest to a mode over the pupil, so the response is that of this shape. About the slopes of the mode itself it
-    /// would make the shape whose slopes are nearest: what the mirror leaves has slopes, too, which it would answer with other shapes.
+    /// The loop is to make the shape that is nearest to a mode over the pupil, so the response is
+    /// that of this shape. About the slopes of the mode itself it would make the shape whose slopes
+    /// are nearest: what the mirror leaves has slopes, too, which it would answer with other
+    /// shapes.
     fn measure_references(&self, response_mas: &Array2<f64>, rests_nm: ArrayView2<f64>) -> Result<Array2<f64>> {
         if !self.sensor.is_local() {
             return Ok(response_mas * self.gain);
@@ -359,7 +375,8 @@ impl SensorModel {
         Ok(response_mas)
     }
 
-    /// Slopes for a wavefront, of 1 nm as a mode, about another one: half the difference of a push and a pull, mas.
+    /// Slopes for a wavefront, of 1 nm as a mode, about another one: half the difference of a push
+    /// and a pull, mas.
     fn response_to(
         &self,
         own: &mut OwnSensor,
@@ -373,7 +390,8 @@ impl SensorModel {
         Ok((push_mas - pull_mas) * (0.5 / POKE_NM))
     }
 
-    /// Measures the slopes for 1 nm of each mode about some of the wavefronts, `[mode, slope]`, mas.
+    /// Measures the slopes for 1 nm of each mode about some of the wavefronts, `[mode, slope]`,
+    /// mas.
     fn measure_response(&self, segments_nm: &[f64], rests_nm: ArrayView2<f64>) -> Result<Array2<f64>> {
         let count = RESPONSE_IMAGES.min(rests_nm.nrows());
         let mut responses = Array2::zeros((self.modes.nrows(), self.slopes()));

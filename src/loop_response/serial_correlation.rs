@@ -1,26 +1,31 @@
-//! Serial correlation of a sequence: by how much the mean of values that follow each other is less certain than that of independent ones.
+//! Serial correlation of a sequence: by how much the mean of values that follow each other is less
+//! certain than that of independent ones.
 //!
-//! Turbulence stays over a pupil of 30 m for four seconds, so that what it leaves in one image it leaves, in part, in the next; noise is new in
-//! each. Values are modelled as the sum of a first-order autoregression, of coefficient ρ, and of white noise: the autocorrelation at lag l > 0 is a
-//! share of ρˡ. Taking out the mean lowers the autocorrelation (Kendall 1954, Biometrika 41, 403), so ρ and both variances are those whose
-//! expected products of values about their mean, at the first lags, are nearest to the measured ones.
+//! Turbulence stays over a pupil of 30 m for four seconds, so that what it leaves in one image it
+//! leaves, in part, in the next; noise is new in each. Values are modelled as the sum of a
+//! first-order autoregression, of coefficient ρ, and of white noise: the autocorrelation at lag l >
+//! 0 is a share of ρˡ. Taking out the mean lowers the autocorrelation (Kendall 1954, Biometrika 41,
+//! 403), so ρ and both variances are those whose expected products of values about their mean, at
+//! the first lags, are nearest to the measured ones.
 
 use ndarray::{Array1, ArrayView2, s};
 
-/// Directions on either side whose products are pooled with one's own: the autocorrelation of 25 images has an error of 0.2 in a single one, of 0.05 in
-/// 17.
+/// Directions on either side whose products are pooled with one's own: the autocorrelation of 25
+/// images has an error of 0.2 in a single one, of 0.05 in 17.
 const NEIGHBOURS: usize = 8;
 /// Lags at which products are compared, beside the squares.
 const LAGS: usize = 4;
 /// Fewest values whose correlation is sought: twice the lags.
 const FEWEST_VALUES: usize = 8;
-/// Coefficients ρ that are tried: with a larger one 25 values cannot distinguish a correlation from an offset.
+/// Coefficients ρ that are tried: with a larger one 25 values cannot distinguish a correlation from
+/// an offset.
 const COEFFICIENTS: std::ops::RangeInclusive<usize> = 2..=18;
 /// Step between them.
 const STEP: f64 = 0.05;
 
-/// Variance of the mean of each direction over that of independent values with the same scatter, at least 1; `scatter` are values about
-/// their mean, `[image, direction]`, directions that are alike beside each other.
+/// Variance of the mean of each direction over that of independent values with the same scatter, at
+/// least 1; `scatter` are values about their mean, `[image, direction]`, directions that are alike
+/// beside each other.
 pub(super) fn mean_variance_factors(scatter: ArrayView2<f64>) -> Array1<f64> {
     let (images, directions) = scatter.dim();
     if images < FEWEST_VALUES {
@@ -41,15 +46,16 @@ pub(super) fn mean_variance_factors(scatter: ArrayView2<f64>) -> Array1<f64> {
     })
 }
 
-/// Variance of the mean over that of independent values with the same squares, of the mixture of white noise with one of `slow` whose expected
-/// products at each lag are nearest to `sums`.
+/// Variance of the mean over that of independent values with the same squares, of the mixture of
+/// white noise with one of `slow` whose expected products at each lag are nearest to `sums`.
 fn mean_variance_factor(sums: &[f64; LAGS + 1], white: &Autoregression, slow: &[Autoregression]) -> f64 {
     if sums[0] <= 0.0 {
         return 1.0;
     }
     let mut nearest = (f64::INFINITY, 1.0);
     for slow in slow {
-        // With the share q of the squares in the autoregression: sums[l] / sums[0] = (1 − q)·w[l] + q·s[l].
+        // With the share q of the squares in the autoregression: sums[l] / sums[0] = (1 − q)·w[l] +
+        // q·s[l].
         let (mut square, mut product, mut rest) = (0.0, 0.0, 0.0);
         let terms = (1..=LAGS).map(|lag| (slow.share(lag) - white.share(lag), sums[lag] / sums[0] - white.share(lag)));
         for (change, wanted) in terms {
@@ -99,7 +105,8 @@ mod tests {
     use ndarray::{Array2, Axis};
     use rand_distr::{Distribution, StandardNormal};
 
-    /// White noise, of variance `noise`, and a first-order autoregression, together of unit variance, `[image, direction]`.
+    /// White noise, of variance `noise`, and a first-order autoregression, together of unit
+    /// variance, `[image, direction]`.
     fn sequence(coefficient: f64, noise: f64, images: usize, directions: usize) -> Array2<f64> {
         let mut rng = crate::source::stream(11, 1);
         let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
@@ -125,8 +132,9 @@ mod tests {
             let variances = scatter.mapv(|value| value * value).sum_axis(Axis(0)) / (images * (images - 1)) as f64;
             let expected: f64 = (&variances * &factors).sum();
             let ratio = (mean.dot(&mean) / expected).sqrt();
-            // 4,000 squares give 1.1 %. The autocorrelation of 17 pooled directions scatters by 0.05 at each lag, which raises the mean factor: of
-            // independent values by a fifth (9 % of an error bar), since none is below 1, and towards strong correlation by more.
+            // 4,000 squares give 1.1 %. The autocorrelation of 17 pooled directions scatters by
+            // 0.05 at each lag, which raises the mean factor: of independent values by a fifth (9 %
+            // of an error bar), since none is below 1, and towards strong correlation by more.
             assert!((0.85..1.05).contains(&ratio), "{coefficient} {noise}: {ratio}");
         }
     }

@@ -1,23 +1,27 @@
-//! Fisher information of wavefront sensor slopes on the NCPA: weighted least squares of the differences between the slopes of the
-//! retrieved wavefronts and the measured ones.
+//! Fisher information of wavefront sensor slopes on the NCPA: weighted least squares of the
+//! differences between the slopes of the retrieved wavefronts and the measured ones.
 //!
-//! Slopes are weighted by their scatter from image to image, and modes along the singular vectors of the sensor's response, each by
-//! its own scatter. So directions with little response get next to no weight, and the modes may be many. The error of the
-//! sensor model is estimated from the data too: the part of the mean over images that no mode explains, beyond its scatter, does
-//! not average over images.
+//! Slopes are weighted by their scatter from image to image, and modes along the singular vectors
+//! of the sensor's response, each by its own scatter. So directions with little response get next
+//! to no weight, and the modes may be many. The error of the sensor model is estimated from the
+//! data too: the part of the mean over images that no mode explains, beyond its scatter, does not
+//! average over images.
 //!
-//! Differences follow the turbulence, too. A loop takes the sum of a wavefront's low orders and of its aliases out of the slopes, so that the low orders are
-//! the aliases with the opposite sign; a retrieval shrinks the high frequencies that alias, and the slopes of the retrieved wavefront keep a share of the low
-//! orders: 3 % on Keck, 8 % on TMT, where that is a fourth of the variance of the differences and half of what one image has in common with the next. The share is found by
-//! regression, image by image. In the mean over the images it is a share of the turbulence's own mean, the *common path* of the mean wavefront.
+//! Differences follow the turbulence, too. A loop takes the sum of a wavefront's low orders and of
+//! its aliases out of the slopes, so that the low orders are the aliases with the opposite sign; a
+//! retrieval shrinks the high frequencies that alias, and the slopes of the retrieved wavefront
+//! keep a share of the low orders: 3 % on Keck, 8 % on TMT, where that is a fourth of the variance
+//! of the differences and half of what one image has in common with the next. The share is found by
+//! regression, image by image. In the mean over the images it is a share of the turbulence's own
+//! mean, the *common path* of the mean wavefront.
 
 use super::serial_correlation::mean_variance_factors;
 use crate::Result;
 use crate::ao::{Svd, svd};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
-/// Weight, in images, of the mean variance of all slopes in the variance of each (shrinkage): from three images alone some slopes
-/// would seem ten times more precise than others.
+/// Weight, in images, of the mean variance of all slopes in the variance of each (shrinkage): from
+/// three images alone some slopes would seem ten times more precise than others.
 const COMMON_IMAGES: f64 = 4.0;
 
 /// Least scatter of a slope, mas: copies of one image would have none.
@@ -25,7 +29,8 @@ const MIN_SCATTER_MAS: f64 = 1e-3;
 /// Least scatter along a singular vector, in units of the slopes' scatter.
 const MIN_SCATTER: f64 = 1e-3;
 
-/// Normal equations of the NCPA, and a share of the common path, from wavefronts and slopes, for modes in nm.
+/// Normal equations of the NCPA, and a share of the common path, from wavefronts and slopes, for
+/// modes in nm.
 #[derive(Debug, Clone)]
 pub struct SlopeInformation {
     /// Fisher information on the modes, nm⁻².
@@ -40,8 +45,9 @@ pub struct SlopeInformation {
 }
 
 impl SlopeInformation {
-    /// The same estimate with an error along `shape_nm`, one standard deviation, that is independent of those it has: v·vᵀ is added to the covariance C. By
-    /// Sherman and Morrison (1950) the information I = C⁻¹ loses Iv·vᵀI/(1 + vᵀIv).
+    /// The same estimate with an error along `shape_nm`, one standard deviation, that is
+    /// independent of those it has: v·vᵀ is added to the covariance C. By Sherman and Morrison
+    /// (1950) the information I = C⁻¹ loses Iv·vᵀI/(1 + vᵀIv).
     pub(super) fn with_uncertainty_along(self, shape_nm: ArrayView1<f64>) -> Self {
         let row = self.information.dot(&shape_nm);
         let shrink = 1.0 / (1.0 + shape_nm.dot(&row));
@@ -66,8 +72,9 @@ impl SensorResponse {
         Self { response_mas }
     }
 
-    /// Information on all modes of the slopes in `difference_mas` (`[image, slope]`), which remain beyond modes `known_nm`, and of which a share
-    /// follows `turbulence_nm`, the images' wavefronts in the modes (`[image, mode]`).
+    /// Information on all modes of the slopes in `difference_mas` (`[image, slope]`), which remain
+    /// beyond modes `known_nm`, and of which a share follows `turbulence_nm`, the images'
+    /// wavefronts in the modes (`[image, mode]`).
     ///
     /// # Errors
     /// Where the response cannot be decomposed.
@@ -97,7 +104,8 @@ impl SensorResponse {
         let modal = mean.dot(&right);
         let modal_scatter = scatter.dot(&right);
         let modal_squares: Array1<f64> = modal_scatter.axis_iter(Axis(1)).map(square).collect();
-        // Along singular vectors, which are in the order of their singular values, modes of like spatial frequencies are beside each other.
+        // Along singular vectors, which are in the order of their singular values, modes of like
+        // spatial frequencies are beside each other.
         let factors = mean_variance_factors(modal_scatter.view());
         let others = (unit_mas.len() - values.len()).max(1) as f64;
         let all_squares: f64 = scatter.iter().map(|value| value * value).sum();
@@ -115,15 +123,16 @@ impl SensorResponse {
     }
 }
 
-/// Regression of `values` on `cause` (both `[image, slope]`), each slope in its own unit; 0 without a cause.
+/// Regression of `values` on `cause` (both `[image, slope]`), each slope in its own unit; 0 without
+/// a cause.
 fn regression(cause: &Array2<f64>, values: &Array2<f64>, units: &Array1<f64>) -> f64 {
     let in_units = cause / units;
     let square: f64 = in_units.iter().map(|value| value * value).sum();
     if square > 0.0 { (in_units * (values / units)).sum() / square } else { 0.0 }
 }
 
-/// Estimates variances from sums of squares with `freedom` degrees of freedom each, shrunk towards their mean as by
-/// [`COMMON_IMAGES`] more images, and no less than `least²`.
+/// Estimates variances from sums of squares with `freedom` degrees of freedom each, shrunk towards
+/// their mean as by [`COMMON_IMAGES`] more images, and no less than `least²`.
 fn shrunk(squares: &Array1<f64>, freedom: f64, least: f64) -> Array1<f64> {
     let common = squares.sum() / (freedom * squares.len().max(1) as f64);
     squares.mapv(|own| ((own + COMMON_IMAGES * common) / (freedom + COMMON_IMAGES)).max(least * least))
@@ -169,7 +178,8 @@ mod tests {
             .information(differences(40, [12.0, -7.0, 3.0], 1.0, 0.0).view(), still(40).view(), &[0.0; 3])
             .unwrap();
         let (found_nm, sigma_nm) = solved(&slopes, 100.0);
-        // Noise of 1 mas in 40 images and 80 slopes of half the power of a sine: 1/√(1600)/0.1 = 0.25 nm and twice that.
+        // Noise of 1 mas in 40 images and 80 slopes of half the power of a sine: 1/√(1600)/0.1 =
+        // 0.25 nm and twice that.
         assert!((sigma_nm[0] / 0.25 - 1.0).abs() < 0.3 && (sigma_nm[1] / 0.5 - 1.0).abs() < 0.3, "{sigma_nm:?}");
         assert!((found_nm[0] - 12.0).abs() < 3.0 * sigma_nm[0] && (found_nm[1] + 7.0).abs() < 3.0 * sigma_nm[1]);
         assert!(sigma_nm[2] > 90.0);
@@ -194,7 +204,8 @@ mod tests {
         let (found_nm, sigma_nm) = solved(&found, 100.0);
         let (alone_nm, alone_sigma_nm) =
             solved(&response.information(alone.view(), still(40).view(), &[0.0; 3]).unwrap(), 100.0);
-        // The estimate holds its share of the turbulence's mean, the error bars nothing: they are those without turbulence, but for the one number that was fitted.
+        // The estimate holds its share of the turbulence's mean, the error bars nothing: they are
+        // those without turbulence, but for the one number that was fitted.
         let mean_nm = turbulence_nm.mean_axis(Axis(0)).unwrap();
         for mode in 0..2 {
             assert!(
@@ -230,7 +241,8 @@ mod tests {
         let shape_nm = ndarray::arr1(&[2.0, -1.0, 0.5]);
         let wider = slopes.clone().with_uncertainty_along(shape_nm.view());
         let (before, after) = (covariance(&slopes), covariance(&wider));
-        // The third mode is known a thousand times less, so that inverses have errors of 10⁶ roundings.
+        // The third mode is known a thousand times less, so that inverses have errors of 10⁶
+        // roundings.
         let (found_nm, still_nm) = (before.dot(&slopes.right_side), after.dot(&wider.right_side));
         for ((i, j), value) in after.indexed_iter() {
             let expected = before[[i, j]] + shape_nm[i] * shape_nm[j];

@@ -1,18 +1,20 @@
-//! Regression of measured slopes on the slopes of retrieved wavefronts: whether telemetry belongs to the images, and where not,
-//! why.
+//! Regression of measured slopes on the slopes of retrieved wavefronts: whether telemetry belongs
+//! to the images, and where not, why.
 //!
-//! The wavefronts are retrieved from the images alone, without the telemetry. Means over the images, which hold the NCPA and the
-//! sensor's reference, and the mean x and y slope of each exposure, which is pointing, are taken out of both. A retrieved
-//! wavefront is shrunk by its prior, so the regression of measured on predicted slopes has the gain 1
-//! at any noise.
+//! The wavefronts are retrieved from the images alone, without the telemetry. Means over the
+//! images, which hold the NCPA and the sensor's reference, and the mean x and y slope of each
+//! exposure, which is pointing, are taken out of both. A retrieved wavefront is shrunk by its
+//! prior, so the regression of measured on predicted slopes has the gain 1 at any noise.
 
 use crate::ao::{OTHER_SLOPE_ORDERS, slope_sources};
 use crate::scene::SlopeOrder;
 use ndarray::{Array2, ArrayView2, Axis, s};
 
-/// Gains that are accepted: a sensor's calibration errs by some tens of percent, other units by factors.
+/// Gains that are accepted: a sensor's calibration errs by some tens of percent, other units by
+/// factors.
 pub const ACCEPTED_GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-/// Gains without a warning: spots that turbulence blurs during an exposure of 10 ms reduce a quad cell's gain to 0.88.
+/// Gains without a warning: spots that turbulence blurs during an exposure of 10 ms reduce a quad
+/// cell's gain to 0.88.
 pub const USUAL_GAIN: std::ops::RangeInclusive<f64> = 0.7..=1.4;
 /// Difference of correlations beyond which one order of the slopes is better than another.
 const BETTER: f64 = 0.15;
@@ -20,15 +22,18 @@ const BETTER: f64 = 0.15;
 const SIMPLER: f64 = 0.05;
 /// Slopes to one independent number: residuals of neighbouring subapertures are correlated.
 const SLOPES_PER_NUMBER: f64 = 4.0;
-/// Scatter of a slope over that of the others below which its subaperture is stuck: pointing alone moves each by a third or more.
+/// Scatter of a slope over that of the others below which its subaperture is stuck: pointing alone
+/// moves each by a third or more.
 const STUCK_SHARE: f64 = 0.1;
-/// Fewest images of which a small scatter of both slopes is no chance: of six normal numbers one is below a tenth three times in 10⁵.
+/// Fewest images of which a small scatter of both slopes is no chance: of six normal numbers one is
+/// below a tenth three times in 10⁵.
 const IMAGES_OF_A_SCATTER: usize = 6;
 /// The same of fewer images: slopes that do not change at all.
 const STUCK_SHARE_OF_FEW: f64 = 1e-3;
 /// Significance of a correlation, standard deviations.
 const SIGNIFICANT: f64 = 3.0;
-/// Fewest images whose order is identifiable: of two, each is the negative of the other about their mean.
+/// Fewest images whose order is identifiable: of two, each is the negative of the other about their
+/// mean.
 const ORDERED_IMAGES: usize = 3;
 
 /// Likely cause of slopes that do not belong to the images.
@@ -69,7 +74,8 @@ pub struct SlopeRegression {
     pub excludes_flips: bool,
     /// Least correlation that noise does not explain.
     pub significant_correlation: f64,
-    /// Subapertures (row, column) whose slopes hardly change from image to image, where those of the others do.
+    /// Subapertures (row, column) whose slopes hardly change from image to image, where those of
+    /// the others do.
     pub stuck: Vec<(usize, usize)>,
 }
 
@@ -120,7 +126,8 @@ impl SlopeRegression {
             .collect();
         let mut best = (None, correlation);
         for &(order, value) in &orders {
-            // One axis negated is the other one negated and all signs opposite: the simpler name goes first.
+            // One axis negated is the other one negated and all signs opposite: the simpler name
+            // goes first.
             let (size, opposite) = match order {
                 SlopeOrder::Expected => (value, true),
                 _ if value < 0.0 => (-value - SIMPLER, true),
@@ -167,8 +174,8 @@ impl SlopeRegression {
     }
 }
 
-/// Measured over predicted slopes, both `[image, slope]`, least squares as in [`SlopeRegression`], within [`ACCEPTED_GAIN`]; 1 where nothing is
-/// predicted.
+/// Measured over predicted slopes, both `[image, slope]`, least squares as in [`SlopeRegression`],
+/// within [`ACCEPTED_GAIN`]; 1 where nothing is predicted.
 pub(super) fn slope_gain(predicted_mas: ArrayView2<f64>, measured_mas: ArrayView2<f64>) -> f64 {
     let [gain, _] = regress(&dynamic(predicted_mas), &dynamic(measured_mas));
     if gain == 0.0 { 1.0 } else { gain.clamp(*ACCEPTED_GAIN.start(), *ACCEPTED_GAIN.end()) }
@@ -191,7 +198,8 @@ fn dynamic(slopes_mas: ArrayView2<f64>) -> Array2<f64> {
     slopes
 }
 
-/// Those of the `subapertures` both of whose slopes scatter over the images by less than [`STUCK_SHARE`] of the median scatter.
+/// Those of the `subapertures` both of whose slopes scatter over the images by less than
+/// [`STUCK_SHARE`] of the median scatter.
 fn stuck(slopes_mas: ArrayView2<f64>, subapertures: &[usize]) -> impl Iterator<Item = usize> {
     let scatter: Vec<f64> = slopes_mas.columns().into_iter().map(|column| column.std(0.0)).collect();
     let mut sorted = scatter.clone();
@@ -213,7 +221,8 @@ fn regress(predicted: &Array2<f64>, measured: &Array2<f64>) -> [f64; 2] {
     [ratio(pm, pp), ratio(pm, (pp * mm).sqrt())]
 }
 
-/// Correlation of the prediction of each image with the measurement of each, `[predicted, measured]`.
+/// Correlation of the prediction of each image with the measurement of each,
+/// `[predicted, measured]`.
 fn image_matches(predicted: &Array2<f64>, measured: &Array2<f64>) -> Array2<f64> {
     let mut matches = predicted.dot(&measured.t());
     let norms = |slopes: &Array2<f64>| -> Vec<f64> { slopes.outer_iter().map(|row| row.dot(&row).sqrt()).collect() };

@@ -1,7 +1,8 @@
 //! Threads: how many are accepted, and which process they belong to.
 //!
-//! Work is arithmetic, so that threads beyond the processor's cores make nothing faster, and each takes memory: tens of thousands of them keep a
-//! machine busy with starting them. A child of `fork()` has none of the threads of its parent, and would wait for them for ever.
+//! Work is arithmetic, so that threads beyond the processor's cores make nothing faster, and each
+//! takes memory: tens of thousands of them keep a machine busy with starting them. A child of
+//! `fork()` has none of the threads of its parent, and would wait for them for ever.
 
 use crate::{Error, Result};
 use std::sync::Once;
@@ -9,7 +10,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Most threads for each core: some time is spent waiting for memory and files.
 const PER_CORE: usize = 4;
-/// Number that is accepted on every machine, so that a call for a node of a cluster runs on a laptop, too.
+/// Number that is accepted on every machine, so that a call for a node of a cluster runs on a
+/// laptop, too.
 const ALWAYS: usize = 64;
 
 /// Whether threads were started in this process.
@@ -48,8 +50,9 @@ pub fn thread_pool(threads: usize) -> Result<rayon::ThreadPool> {
     made.map_err(|error| Error::Value(format!("{threads} threads do not start ({error}): fewer are accepted")))
 }
 
-/// Starts the threads that all calls without a pool of their own share, unless they were started before: one for each core, or `RAYON_NUM_THREADS`, of
-/// which more than [`most_threads`] count as that many, because the variable may be meant for another program.
+/// Starts the threads that all calls without a pool of their own share, unless they were started
+/// before: one for each core, or `RAYON_NUM_THREADS`, of which more than [`most_threads`] count as
+/// that many, because the variable may be meant for another program.
 ///
 /// # Errors
 /// [`Error::Value`] where they do not start.
@@ -71,8 +74,8 @@ pub fn start_threads() -> Result<()> {
     }
 }
 
-/// Whether this process is a child of `fork()` in whose parent threads were started: work in it would wait for threads that it does not have. Safe in a
-/// signal handler.
+/// Whether this process is a child of `fork()` in whose parent threads were started: work in it
+/// would wait for threads that it does not have. Safe in a signal handler.
 pub fn lacks_its_threads() -> bool {
     ORPHANED.load(Ordering::Relaxed)
 }

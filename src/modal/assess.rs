@@ -1,4 +1,5 @@
-//! Assessment of a fit: χ² and its expectation, status, the information in an image and the covariance that follows from it.
+//! Assessment of a fit: χ² and its expectation, status, the information in an image and the
+//! covariance that follows from it.
 
 pub(in crate::modal) mod chi2;
 pub(in crate::modal) mod fisher;

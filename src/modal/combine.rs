@@ -49,14 +49,15 @@ pub struct FittedImage {
 /// Combination of some images: which, and the static wavefront of them.
 #[derive(Debug, Clone)]
 pub struct Combination {
-    /// The images that were combined: of up to seven those with the best kind of status, from eight on all that converged
-    /// and were not clipped.
+    /// The images that were combined: of up to seven those with the best kind of status, from eight
+    /// on all that converged and were not clipped.
     pub used_images: Vec<usize>,
     /// Images that converged and that the clipped mean left out.
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
     pub modes: CombinedModes,
-    /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
+    /// The part of the covariance that further images would average out, nm², with the prior; the
+    /// rest is [`ModalFitter::shared_errors`].
     pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors and NCPA.
     pub maps: StaticMaps,
@@ -65,7 +66,8 @@ pub struct Combination {
 }
 
 impl Combination {
-    /// That of images whose modes are `likelihood`, without a prior and without the errors that all images share.
+    /// That of images whose modes are `likelihood`, without a prior and without the errors that all
+    /// images share.
     fn new(
         fitter: &ModalFitter,
         likelihood: CombinedModes,
@@ -92,9 +94,10 @@ pub struct ModalEstimate {
     pub combine: Combine,
     /// The static wavefront of the images that were used.
     pub combined: Combination,
-    /// Reduced χ² of the mean residual of the images that were used, which shows errors of the model that are too small to
-    /// be seen in one image; that of one image is its own. Where the median of χ² is above 2 it is 1: error bars of a wavefront
-    /// that changes are from the scatter.
+    /// Reduced χ² of the mean residual of the images that were used, which shows errors of the
+    /// model that are too small to be seen in one image; that of one image is its own. Where the
+    /// median of χ² is above 2 it is 1: error bars of a wavefront that changes are from the
+    /// scatter.
     pub mean_residual_chi2: f64,
     /// The first image that was used, with its model.
     pub compared: FittedImage,
@@ -148,16 +151,16 @@ impl ModalEstimate {
         median(&self.combined.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect::<Vec<_>>())
     }
 
-    /// Whether this estimate explains the images better than another one of them: by χ², or by its status where they ended in the
-    /// same minimum.
+    /// Whether this estimate explains the images better than another one of them: by χ², or by its
+    /// status where they ended in the same minimum.
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
         let [own, others] = [self, other].map(Self::reduced_chi2);
         let is_same = is_same_minimum(own, others);
         if is_same { self.status().rank() < other.status().rank() } else { own < others || others.is_nan() }
     }
 
-    /// Whether eight images or more converged: then they are assessed as a sequence, and error bars are from the scatter
-    /// between them.
+    /// Whether eight images or more converged: then they are assessed as a sequence, and error bars
+    /// are from the scatter between them.
     pub fn is_sequence(&self) -> bool {
         is_sequence(&self.images.iter().collect::<Vec<_>>())
     }
@@ -221,15 +224,16 @@ pub(super) fn combine(estimator: &ModalFitter, mut fitted: FittedCube) -> Result
 }
 
 impl ModalFitter {
-    /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of
-    /// images, or of another way to combine them.
+    /// Combines some images of `estimate`, which this fitter made, without fitting them again: for
+    /// a study of the number of images, or of another way to combine them.
     ///
-    /// The images are combined as if there were no others, by the rules of [`Combine`] and [`Status`]; only the error bars
-    /// of fewer than eight are from the scatter of the whole estimate, over the root of their number.
+    /// The images are combined as if there were no others, by the rules of [`Combine`] and
+    /// [`Status`]; only the error bars of fewer than eight are from the scatter of the whole
+    /// estimate, over the root of their number.
     ///
     /// # Errors
-    /// [`Error::Value`] for an image that does not exist, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
-    /// for an estimate of another model.
+    /// [`Error::Value`] for an image that does not exist, [`Error::Image`] where none of them was
+    /// fitted, [`Error::Shape`] for an estimate of another model.
     pub fn combine_subset(&self, estimate: &ModalEstimate, images: &[usize], how: Combine) -> Result<Combination> {
         let count = estimate.images.len();
         let (modes, own) = (estimate.image_coefficients_nm.ncols(), self.model.optics.modes());
@@ -273,8 +277,8 @@ fn nothing_fitted(reports: &[&ImageReport]) -> Error {
     Error::Image(format!("no image could be fitted: {reason}"))
 }
 
-/// `likelihood` with the prior of the model's modes. Covariance and coefficients are of pistons about their mean, and so is the
-/// result, which is moved along columns of that covariance.
+/// `likelihood` with the prior of the model's modes. Covariance and coefficients are of pistons
+/// about their mean, and so is the result, which is moved along columns of that covariance.
 pub(super) fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes> {
     match &model.prior {
         Some(prior) => prior.posterior(&likelihood),
@@ -289,8 +293,9 @@ pub(super) fn centre(motions: &GlobalMotions, used_nm: &Array2<f64>, how: Combin
     coefficients_nm
 }
 
-/// Covariance of one image from its noise (nm²), and its Fisher matrix (per nm²), at the wavefront of the whole sequence. One
-/// matrix serves all images, because the noise is the smallest part of their scatter.
+/// Covariance of one image from its noise (nm²), and its Fisher matrix (per nm²), at the wavefront
+/// of the whole sequence. One matrix serves all images, because the noise is the smallest part of
+/// their scatter.
 fn noise_at(
     estimator: &ModalFitter,
     prepared: &PreparedFrame,
@@ -309,9 +314,10 @@ fn scale_of_noise(reports: &[ImageReport], used: &[usize]) -> f64 {
     used.iter().map(|&image| reports[image].reduced_chi2.max(1.0)).sum::<f64>() / used.len() as f64
 }
 
-/// Covariance of one of a few images, and the Fisher matrix of the first: the mean over the used images of the covariance from
-/// the noise, scaled by χ² where the model misfits; from four images on that of their scatter where it is larger (a static
-/// wavefront under a changing one scatters more than its noise).
+/// Covariance of one of a few images, and the Fisher matrix of the first: the mean over the used
+/// images of the covariance from the noise, scaled by χ² where the model misfits; from four images
+/// on that of their scatter where it is larger (a static wavefront under a changing one scatters
+/// more than its noise).
 fn few_images(
     estimator: &ModalFitter,
     prepared: &[PreparedFrame],
@@ -341,12 +347,13 @@ fn few_images(
     Ok((SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher))
 }
 
-/// Covariance of one of a few images, `noise_nm2` from its noise: from four images on it is scaled up to their scatter where
-/// that is larger.
+/// Covariance of one of a few images, `noise_nm2` from its noise: from four images on it is scaled
+/// up to their scatter where that is larger.
 pub(super) fn covariance_with_scatter(mut noise_nm2: Array2<f64>, used_nm: &Array2<f64>) -> Array2<f64> {
     if used_nm.nrows() >= 4 {
         let deviations = used_nm - &location(used_nm, Combine::Mean).insert_axis(Axis(0));
-        // A common factor keeps the matrix positive definite; the mean over the modes averages its own scatter.
+        // A common factor keeps the matrix positive definite; the mean over the modes averages its
+        // own scatter.
         let scatter = (&deviations * &deviations).sum() / (used_nm.nrows() - 1) as f64;
         noise_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
     }

@@ -1,4 +1,5 @@
-//! Modal estimate of a cube of images: every image fitted, outlier pixels rejected, wrong minima restarted, images combined.
+//! Modal estimate of a cube of images: every image fitted, outlier pixels rejected, wrong minima
+//! restarted, images combined.
 
 pub(in crate::modal) mod image_fits;
 pub(in crate::modal) mod scene_fit;
@@ -25,18 +26,21 @@ use std::time::Instant;
 pub(crate) type ModalFit = (ModalFitter, ModalEstimate);
 
 impl ModalFitter {
-    /// Estimates the static wavefront behind a cube of images (`[image, y, x]`, electrons) on `chain`.
+    /// Estimates the static wavefront behind a cube of images (`[image, y, x]`, electrons) on
+    /// `chain`.
     ///
     /// Images that cannot be used are reported with their reason and left out.
     ///
     /// # Errors
-    /// [`Error::Image`] where no image can be used, [`Error::Shape`] where they have another size than the scene says,
-    /// [`Error::Interrupted`] where `control` was cancelled, [`Error::Device`] where the device failed.
+    /// [`Error::Image`] where no image can be used, [`Error::Shape`] where they have another size
+    /// than the scene says, [`Error::Interrupted`] where `control` was cancelled, [`Error::Device`]
+    /// where the device failed.
     pub fn estimate(&self, chain: &mut Chain, cube: Cube, control: &Control) -> Result<ModalEstimate> {
         self.estimate_from(chain, cube, None, None, control)
     }
 
-    /// As [`ModalFitter::estimate`]; with `start_nm` each image is fitted from there, and not restarted. Fits that `series` have are taken.
+    /// As [`ModalFitter::estimate`]; with `start_nm` each image is fitted from there, and not
+    /// restarted. Fits that `series` have are taken.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
@@ -53,7 +57,8 @@ impl ModalFitter {
         self.combined(chain, fitted, started)
     }
 
-    /// Estimate from images in focus, near the estimate `others` of other images of the same wavefront: see [`NearLikelihood`].
+    /// Estimate from images in focus, near the estimate `others` of other images of the same
+    /// wavefront: see [`NearLikelihood`].
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
@@ -81,8 +86,8 @@ impl ModalFitter {
         Ok(estimate)
     }
 
-    /// Fits each image of a cube (`[image, y, x]`, electrons) on `chain`, without combination, error bars and maps, which take
-    /// longer than the fits.
+    /// Fits each image of a cube (`[image, y, x]`, electrons) on `chain`, without combination,
+    /// error bars and maps, which take longer than the fits.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
@@ -90,8 +95,9 @@ impl ModalFitter {
         Ok(self.fit_all(chain, cube, None, None, control)?.assess(self))
     }
 
-    /// Prepares and fits every image as the recipe says: from `start_nm`, or else from the flat wavefront with restarts of fits in a wrong
-    /// minimum; outlier pixels rejected. Fits that `series` have are taken, others added to them.
+    /// Prepares and fits every image as the recipe says: from `start_nm`, or else from the flat
+    /// wavefront with restarts of fits in a wrong minimum; outlier pixels rejected. Fits that
+    /// `series` have are taken, others added to them.
     pub(super) fn fit_all(
         &self,
         chain: &mut Chain,
@@ -120,8 +126,9 @@ impl ModalFitter {
         Ok(FittedCube::from_fits(fits))
     }
 
-    /// Adds the fits of the images `which` of a cube to `series`, which are of these images: as far as they depend on no other image.
-    /// A fit of a sequence may be restarted, which is decided by all images: here it is where less than half of `which` misfit.
+    /// Adds the fits of the images `which` of a cube to `series`, which are of these images: as far
+    /// as they depend on no other image. A fit of a sequence may be restarted, which is decided by
+    /// all images: here it is where less than half of `which` misfit.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`], except that all images may be unusable.
@@ -144,7 +151,8 @@ impl ModalFitter {
         Ok(())
     }
 
-    /// Prepares and fits `frames` from `start_nm`, and rejects outlier pixels. Returns the cleaned frames of the fits that were replaced.
+    /// Prepares and fits `frames` from `start_nm`, and rejects outlier pixels. Returns the cleaned
+    /// frames of the fits that were replaced.
     fn fit_cleaned(
         &self,
         chain: &mut Chain,

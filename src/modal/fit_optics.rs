@@ -1,17 +1,19 @@
-//! Fit of optical parameters of the scene together with the modes: the plate scale, the rotation and the shadows of the pupil, the
-//! reflectivities of its segments, its illumination, the amplitude of the defocus, the width of the filter, the area of a pixel.
+//! Fit of optical parameters of the scene together with the modes: the plate scale, the rotation
+//! and the shadows of the pupil, the reflectivities of its segments, its illumination, the
+//! amplitude of the defocus, the width of the filter, the area of a pixel.
 //!
-//! Each image has its own modes a; all images share the optical parameters θ. With J the derivatives of an image's electrons,
-//! orthogonalised to its flux and background, W its weights and r its residual, Gauss-Newton about the images' own minima
-//! (where Jₐᵀ W r = 0) eliminates a:
+//! Each image has its own modes a; all images share the optical parameters θ. With J the
+//! derivatives of an image's electrons, orthogonalised to its flux and background, W its weights
+//! and r its residual, Gauss-Newton about the images' own minima (where Jₐᵀ W r = 0) eliminates a:
 //!
 //! ```text
 //! c = Jₐᵀ W Jθ      F = Jₐᵀ W Jₐ      S = Σ (Jθᵀ W Jθ − cᵀ F⁻¹ c)      δθ = S⁻¹ Σ Jθᵀ W r
 //! ```
 //!
-//! cov θ = χ² S⁻¹, and with G the mean of F⁻¹ c an error δθ moves the mean modes by −G δθ: G cov θ Gᵀ is the covariance that
-//! all images share. The share of Jθᵀ W Jθ that is left in S measures how identifiable the parameters are: where it is nearly
-//! 0 the modes reproduce their effect, and the scene's value stays.
+//! cov θ = χ² S⁻¹, and with G the mean of F⁻¹ c an error δθ moves the mean modes by −G δθ: G cov θ
+//! Gᵀ is the covariance that all images share. The share of Jθᵀ W Jθ that is left in S measures how
+//! identifiable the parameters are: where it is nearly 0 the modes reproduce their effect, and the
+//! scene's value stays.
 
 pub(in crate::modal) mod fitted_optic;
 mod normal;
@@ -29,12 +31,12 @@ use ndarray::Array2;
 use parameter::FittedParameter;
 use search::ParameterSearch;
 
-/// Fits the optical parameters that `scene` names to the images of `cube`, and returns the fitter of the scene with them;
-/// `native` as in [`ModalFitter::new`].
+/// Fits the optical parameters that `scene` names to the images of `cube`, and returns the fitter
+/// of the scene with them; `native` as in [`ModalFitter::new`].
 ///
 /// # Errors
-/// Those of [`ModalFitter::new`] and of fits; [`Error::Scene`] for parameters that the scene does not have;
-/// [`Error::Interrupted`].
+/// Those of [`ModalFitter::new`] and of fits; [`Error::Scene`] for parameters that the scene does
+/// not have; [`Error::Interrupted`].
 pub(super) fn estimator(
     scene: &System,
     recipe: &Recipe,
@@ -47,16 +49,18 @@ pub(super) fn estimator(
     Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
 }
 
-/// Least part of χ² beyond 1 that the start and the step from it must be expected to remove for a parameter to be fitted as its
-/// likely cause. At the start that a misfit gives, a plate scale that is 5 or 10 % wrong has lost 51 to 99.9 % of it (Keck,
-/// peak S/N of 50 to 1,000). Other causes lose 0 to 8 % there, except gaps of another width between the segments (47 %), which the
-/// fit itself excludes.
+/// Least part of χ² beyond 1 that the start and the step from it must be expected to remove for a
+/// parameter to be fitted as its likely cause. At the start that a misfit gives, a plate scale that
+/// is 5 or 10 % wrong has lost 51 to 99.9 % of it (Keck, peak S/N of 50 to 1,000). Other causes
+/// lose 0 to 8 % there, except gaps of another width between the segments (47 %), which the fit
+/// itself excludes.
 const WORTH_FITTING: f64 = 0.2;
 
-/// As [`estimator`], for the only parameter that `scene` names, with the Karhunen-Loève basis of `cache`, without another search
-/// for outlier pixels, and with the median reduced χ² of the images with the scene's value and with the fitted one. The fit
-/// starts from the scene's value times `factor` where χ² is lower there. `None` where a first step shows that the parameter does
-/// not explain the residual.
+/// As [`estimator`], for the only parameter that `scene` names, with the Karhunen-Loève basis of
+/// `cache`, without another search for outlier pixels, and with the median reduced χ² of the images
+/// with the scene's value and with the fitted one. The fit starts from the scene's value times
+/// `factor` where χ² is lower there. `None` where a first step shows that the parameter does not
+/// explain the residual.
 ///
 /// # Errors
 /// As [`estimator`].
@@ -87,7 +91,8 @@ pub(crate) fn explaining_fit(
 pub(crate) struct OpticsMinimum {
     /// The fitter of the scene with the fitted values.
     pub(crate) fitter: ModalFitter,
-    /// Covariance of [`ModalFitter::fitted_optics`], in their order; 0 for those that are not identifiable.
+    /// Covariance of [`ModalFitter::fitted_optics`], in their order; 0 for those that are not
+    /// identifiable.
     pub(crate) covariance: Array2<f64>,
     /// Median reduced χ² of the images with the scene's values, and with the fitted ones.
     pub(crate) reduced_chi2: [f64; 2],
@@ -103,9 +108,9 @@ pub(crate) struct OpticsStart<'a> {
     pub(crate) own_chi2: f64,
 }
 
-/// Fits the numbers that `scene` names (no reflectivities), with the Karhunen-Loève basis of `cache`, without another search for
-/// outlier pixels, to find which of them the images contradict. The fit begins at `start` where χ² is lower there than with the scene's
-/// values.
+/// Fits the numbers that `scene` names (no reflectivities), with the Karhunen-Loève basis of
+/// `cache`, without another search for outlier pixels, to find which of them the images contradict.
+/// The fit begins at `start` where χ² is lower there than with the scene's values.
 ///
 /// # Errors
 /// As [`estimator`].

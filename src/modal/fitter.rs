@@ -26,7 +26,8 @@ pub struct ModalFitter {
     pub(super) scene: System,
     pub(super) recipe: Recipe,
     pub(super) model: Arc<Model>,
-    /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it for every chain that fits.
+    /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it for every chain
+    /// that fits.
     pub(super) reference: Arc<CpuChain<f64>>,
     pub(super) metrics: Arc<Metrics>,
     /// Motions of the whole mirror, computed once because that takes as long as some fits.
@@ -109,7 +110,8 @@ pub(super) fn same_basis(one: &System, other: &System) -> bool {
 impl ModalFitter {
     /// Builds the model of `scene`.
     ///
-    /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because the reduction would ring around them.
+    /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because the
+    /// reduction would ring around them.
     ///
     /// # Errors
     /// Those of building the telescope, its modes and its pupil; see [`Model::new`].
@@ -125,9 +127,10 @@ impl ModalFitter {
         Self::with_scene_basis(scene, recipe, native, Arc::default())
     }
 
-    /// A fitter for another scene or recipe that shares this one's Karhunen-Loève basis, which takes most of the time of
-    /// building a fitter, where telescope, mirror, turbulence and modes are the same and only the sampling and the fit
-    /// differ. Otherwise the basis is computed again.
+    /// A fitter for another scene or recipe that shares this one's Karhunen-Loève basis, which
+    /// takes most of the time of building a fitter, where telescope, mirror, turbulence and modes
+    /// are the same and only the sampling and the fit differ. Otherwise the basis is computed
+    /// again.
     ///
     /// # Errors
     /// As [`ModalFitter::new`].
@@ -174,7 +177,8 @@ impl ModalFitter {
         &self.model
     }
 
-    /// Optical parameters that were fitted, in the order of `estimate.fit_optics`; [`ModalFitter::scene`] has their values.
+    /// Optical parameters that were fitted, in the order of `estimate.fit_optics`;
+    /// [`ModalFitter::scene`] has their values.
     pub fn fitted_optics(&self) -> &[FittedOptic] {
         &self.fitted_optics
     }
@@ -202,8 +206,9 @@ impl ModalFitter {
         Pointing::new(&self.model, &self.motions, &self.tilts)
     }
 
-    /// Whether `direction` is a motion of the whole mirror, which is 0 by convention: its piston, and where segments have tips
-    /// and tilts and the NCPA span them, its tip and tilt, which are then among the NCPA.
+    /// Whether `direction` is a motion of the whole mirror, which is 0 by convention: its piston,
+    /// and where segments have tips and tilts and the NCPA span them, its tip and tilt, which are
+    /// then among the NCPA.
     pub fn is_global_motion(&self, direction: &Direction) -> bool {
         self.motions.contain(direction)
     }
@@ -241,8 +246,9 @@ impl ModalFitter {
         diversity_error::project_diversity(&self.model, &self.scene)
     }
 
-    /// Cramér-Rao bound: covariance of the modes, nm², for one image of a star of `flux_e` with the scene's read noise at the
-    /// given wavefront; null directions have none. Pistons are about their mean.
+    /// Cramér-Rao bound: covariance of the modes, nm², for one image of a star of `flux_e` with the
+    /// scene's read noise at the given wavefront; null directions have none. Pistons are about
+    /// their mean.
     ///
     /// # Errors
     /// [`Error::Value`] where no mode changes the image.

@@ -1,4 +1,5 @@
-//! Modal fits: segment errors and NCPA as coefficients of modes, fitted to images, in nm with error bars.
+//! Modal fits: segment errors and NCPA as coefficients of modes, fitted to images, in nm with error
+//! bars.
 //!
 //! ```text
 //! System ─ Recipe ─ Model ┐
@@ -18,9 +19,10 @@
 //! | `session` | fits in real time |
 //! | `pointing` | where the star is in an image |
 //!
-//! [`ModalFitter::new`], or [`ModalFitter::from_arrays`] for a telescope that the caller gives as arrays, builds everything
-//! that does not depend on the images; [`ModalFitter::estimate`] takes a cube of images. A [`Session`] fits frames as a camera
-//! delivers them, in memory that is allocated once, and an [`Accumulator`] combines its results.
+//! [`ModalFitter::new`], or [`ModalFitter::from_arrays`] for a telescope that the caller gives as
+//! arrays, builds everything that does not depend on the images; [`ModalFitter::estimate`] takes a
+//! cube of images. A [`Session`] fits frames as a camera delivers them, in memory that is allocated
+//! once, and an [`Accumulator`] combines its results.
 
 mod assess;
 mod combine;

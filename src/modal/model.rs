@@ -51,7 +51,8 @@ pub struct Model {
 }
 
 impl Model {
-    /// Builds the model of `scene`. `native` forbids the reduction to Nyquist sampling (it would ring around bad pixels).
+    /// Builds the model of `scene`. `native` forbids the reduction to Nyquist sampling (it would
+    /// ring around bad pixels).
     ///
     /// # Errors
     /// Those of the modules below, for files that cannot be read and bases that cannot be built.
@@ -59,8 +60,8 @@ impl Model {
         Self::with_scene_basis(scene, recipe, native, &SceneBasis::default())
     }
 
-    /// As [`Model::new`], reduced to Nyquist sampling, for a telescope that differs from the scene's in the amplitudes of its
-    /// segments only.
+    /// As [`Model::new`], reduced to Nyquist sampling, for a telescope that differs from the
+    /// scene's in the amplitudes of its segments only.
     ///
     /// # Errors
     /// As [`Model::new`].
@@ -79,7 +80,8 @@ impl Model {
         Self::with_modes(scene, recipe, native, telescope, set)
     }
 
-    /// As [`Model::new`], for the modes of this scene or of one that differs slightly in its optical parameters.
+    /// As [`Model::new`], for the modes of this scene or of one that differs slightly in its
+    /// optical parameters.
     pub(super) fn with_modes(
         scene: &System,
         recipe: &Recipe,

@@ -1,8 +1,10 @@
-//! Pointing: where the star is in an image, which each image has for itself and which is no error of the wavefront.
+//! Pointing: where the star is in an image, which each image has for itself and which is no error
+//! of the wavefront.
 //!
-//! A star that is off the axis is a plane over the pupil. A fit finds it in two parts: the whole pixels by which the image was moved before it,
-//! and tip and tilt among the modes. A staircase of segment pistons has a mean slope as well; it moves the image, but it is an error of the
-//! mirror, which the modes hold besides, and is no part of the pointing.
+//! A star that is off the axis is a plane over the pupil. A fit finds it in two parts: the whole
+//! pixels by which the image was moved before it, and tip and tilt among the modes. A staircase of
+//! segment pistons has a mean slope as well; it moves the image, but it is an error of the mirror,
+//! which the modes hold besides, and is no part of the pointing.
 
 use super::model::Model;
 use crate::Result;
@@ -11,8 +13,9 @@ use crate::modal::combine::diversity_error::ModeProjector;
 use crate::modal::combine::global_motions::GlobalMotions;
 use ndarray::{Array1, Array2, ArrayView1};
 
-/// Share of a plane (RMS) outside the modes up to which they hold it: exactly, to rounding; and nearly, as some Karhunen-Loève modes do, so that a
-/// tenth of the pointing at most is taken for something else.
+/// Share of a plane (RMS) outside the modes up to which they hold it: exactly, to rounding; and
+/// nearly, as some Karhunen-Loève modes do, so that a tenth of the pointing at most is taken for
+/// something else.
 const EXACT: f64 = 1e-3;
 const NEARLY: f64 = 0.1;
 
@@ -22,8 +25,9 @@ const ROUNDING: f64 = 1e-9;
 /// Pointing in terms of the modes of a model.
 #[derive(Debug, Clone)]
 pub struct Pointing {
-    /// What 1 nm RMS of tip, and of tilt, of the whole pupil is of each mode, `[tip or tilt, mode]`. No rows where the modes do not hold them: the
-    /// star's motion is then an error of the estimates.
+    /// What 1 nm RMS of tip, and of tilt, of the whole pupil is of each mode,
+    /// `[tip or tilt, mode]`. No rows where the modes do not hold them: the star's motion is then
+    /// an error of the estimates.
     pub modes: Array2<f64>,
     /// Whether the modes hold a plane exactly.
     pub is_exact: bool,
@@ -51,7 +55,8 @@ impl Pointing {
         Ok(Self { modes, is_exact: share < EXACT, nm_per_pixel, tilts: tilts.clone() })
     }
 
-    /// The pointing of an image, nm RMS of tip and tilt, from its coefficients and [`ImageReport::tip_tilt_nm`](super::ImageReport).
+    /// The pointing of an image, nm RMS of tip and tilt, from its coefficients and
+    /// [`ImageReport::tip_tilt_nm`](super::ImageReport).
     pub fn of(&self, coefficients_nm: &[f64], tip_tilt_nm: [f64; 2]) -> [f64; 2] {
         if self.modes.nrows() == 0 {
             return tip_tilt_nm;
@@ -81,7 +86,8 @@ impl Pointing {
     }
 }
 
-/// Planes of 1 nm RMS in the modes behind the first `before`, without what is a convention, and the larger share (RMS) outside them.
+/// Planes of 1 nm RMS in the modes behind the first `before`, without what is a convention, and the
+/// larger share (RMS) outside them.
 fn planes(model: &Model, motions: &GlobalMotions, before: usize) -> Result<(Array2<f64>, f64)> {
     let projector = ModeProjector::new(&model.telescope.pupil, &model.basis, before)?;
     let (mut rows, mut share) = (Vec::new(), 0.0f64);

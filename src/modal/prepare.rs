@@ -1,4 +1,5 @@
-//! Preparation of a detector frame: checked, reduced to the model's sampling with its noise, centred, cropped, weighted.
+//! Preparation of a detector frame: checked, reduced to the model's sampling with its noise,
+//! centred, cropped, weighted.
 
 pub(in crate::modal) mod calibration;
 pub(in crate::modal) mod cube;
@@ -35,17 +36,20 @@ pub struct Frame<'a> {
     pub read_noise_e: Option<f64>,
 }
 
-/// Smallest variance of a native pixel without the star's photons, e²: that of rounding to whole electrons, which every count
-/// of electrons has. It keeps the weight of a pixel finite where neither light nor read noise is expected, and is below a
-/// hundredth of the photon noise of ten electrons.
+/// Smallest variance of a native pixel without the star's photons, e²: that of rounding to whole
+/// electrons, which every count of electrons has. It keeps the weight of a pixel finite where
+/// neither light nor read noise is expected, and is below a hundredth of the photon noise of ten
+/// electrons.
 const MIN_VARIANCE_E2: f64 = 1.0 / 12.0;
 
 /// Preparation of frames for one model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Preparation {
-    /// Pixels of a frame along x and y, both even; the axis is on pixel `[frame[0] / 2, frame[1] / 2]`.
+    /// Pixels of a frame along x and y, both even; the axis is on pixel
+    /// `[frame[0] / 2, frame[1] / 2]`.
     pub frame: [usize; 2],
-    /// Pixels along x and y after the reduction to the model's sampling (equal to `frame` where there is none), even.
+    /// Pixels along x and y after the reduction to the model's sampling (equal to `frame` where
+    /// there is none), even.
     pub reduced: [usize; 2],
     /// Pixels along a side of the part that is fitted; its pixels beyond the frame are bad.
     pub pixels: usize,
@@ -58,14 +62,17 @@ pub struct Preparation {
 pub struct PreparedFrame {
     /// Exposure for the imaging chain.
     pub exposure: Exposure,
-    /// Variance of each pixel without the star's photons (read noise and background), e²; infinite for a bad pixel.
+    /// Variance of each pixel without the star's photons (read noise and background), e²; infinite
+    /// for a bad pixel.
     pub floor_variance_e2: Vec<f64>,
-    /// Part of that variance which is stated: 1, but less where `MIN_VARIANCE_E2` exceeds the stated read noise, and 0 where
-    /// the scatter of the border takes its place. χ² is expected to be 1 with the whole of it, and less with a part.
+    /// Part of that variance which is stated: 1, but less where `MIN_VARIANCE_E2` exceeds the
+    /// stated read noise, and 0 where the scatter of the border takes its place. χ² is expected to
+    /// be 1 with the whole of it, and less with a part.
     pub stated_share: f64,
     /// Level of the frame's border, e⁻ per model pixel: a first guess of the background.
     pub level_e: f64,
-    /// Position of the star: whole model pixels by which the frame was moved onto the axis, along x and y.
+    /// Position of the star: whole model pixels by which the frame was moved onto the axis, along x
+    /// and y.
     pub shift_pixels: [i64; 2],
     /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
@@ -88,7 +95,8 @@ impl Preparation {
     /// Prepares `frame`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a frame of another size than the scene's, [`Error::Image`] for one without a star.
+    /// [`Error::Shape`] for a frame of another size than the scene's, [`Error::Image`] for one
+    /// without a star.
     pub fn prepare(&self, frame: Frame, recipe: &Recipe) -> Result<PreparedFrame> {
         self.attempt(frame, recipe)?.map_err(|refusal| Error::Image(refusal.to_string()))
     }
@@ -111,8 +119,9 @@ impl Preparation {
         self.frame[axis] as f64 / self.reduced[axis] as f64
     }
 
-    /// Place in the frame of a pixel of the fitted part along x (0) or y (1), of an image that was moved by `shift` model pixels: the
-    /// first of several where the sampling is reduced; `None` beyond the frame.
+    /// Place in the frame of a pixel of the fitted part along x (0) or y (1), of an image that was
+    /// moved by `shift` model pixels: the first of several where the sampling is reduced; `None`
+    /// beyond the frame.
     pub(super) fn place_in_frame(&self, axis: usize, pixel: usize, shift: i64) -> Option<usize> {
         let (frame, reduced) = (self.frame[axis], self.reduced[axis]);
         let model = (pixel + reduced / 2) as i64 - (self.pixels / 2) as i64 + shift;
@@ -173,7 +182,8 @@ pub(crate) fn cut_out_hint((rows, columns): (usize, usize), (y, x): (usize, usiz
     if rows >= y && columns >= x { "; 'cophase reduce' cuts images of this size out of raw frames" } else { "" }
 }
 
-/// Prepares frames one after the other, in memory of its own. Nothing is allocated after construction.
+/// Prepares frames one after the other, in memory of its own. Nothing is allocated after
+/// construction.
 pub(super) struct Preparer {
     plan: Preparation,
     /// The frame in the model's orientation, `[y, x]`; bad pixels hold 0.
@@ -200,7 +210,8 @@ impl SampledFrame<'_> {
         self.bad.as_ref().is_some_and(|bad| bad[at])
     }
 
-    /// The `size` pixels of a row from `(row, column)` on, where the frame has them all and none is bad.
+    /// The `size` pixels of a row from `(row, column)` on, where the frame has them all and none is
+    /// bad.
     fn good_stretch(&self, (row, column): (usize, usize), size: usize) -> Option<&[f64]> {
         let stretch = column..column + size;
         let bad = self.bad.as_ref().map(|bad| bad.row(row).to_slice().and_then(|bad| bad.get(stretch.clone())));
@@ -252,8 +263,8 @@ impl Preparer {
                 let variance_e2 = stated.powi(2).max(MIN_VARIANCE_E2);
                 (variance_e2, stated.powi(2) / variance_e2)
             }
-            // The scatter of the border includes the star's light there, so it is an upper limit; 1 e⁻ keeps weights finite
-            // on synthetic frames.
+            // The scatter of the border includes the star's light there, so it is an upper limit; 1
+            // e⁻ keeps weights finite on synthetic frames.
             None => (self.statistics.scatter_about(level).max(1.0).powi(2), 0.0),
         };
         self.spikes.clear();
@@ -283,7 +294,8 @@ impl Preparer {
         let area = self.plan.native_pixels();
         prepared.level_e = level * area;
         prepared.shift_pixels = if recipe.recentre { off_axis(&sampled, prepared.level_e) } else { [0, 0] };
-        // A sum over some native pixels: their read variances add, and their photons are in the data.
+        // A sum over some native pixels: their read variances add, and their photons are in the
+        // data.
         let floor = variance_e2 * area;
         prepared.stated_share = stated_share;
         prepared.rejected.begin(floor);
@@ -306,10 +318,11 @@ impl Preparer {
         Ok(())
     }
 
-    /// Copies the frame in the model's orientation, bad pixels as 0. Returns the number of bad pixels of the frame itself.
+    /// Copies the frame in the model's orientation, bad pixels as 0. Returns the number of bad
+    /// pixels of the frame itself.
     ///
-    /// Flipping an even number of pixels moves the axis from pixel M/2 to M/2 − 1: it is moved back, and the line that
-    /// wraps around is bad.
+    /// Flipping an even number of pixels moves the axis from pixel M/2 to M/2 − 1: it is moved
+    /// back, and the line that wraps around is bad.
     fn orient(&mut self, frame: Frame) -> usize {
         let (rows, columns) = self.data.dim();
         let [flip_x, flip_y] = self.plan.flip;
@@ -366,10 +379,12 @@ fn refuse_unusable(rows: &[Extent], level: f64) -> std::result::Result<(), Refus
     }
 }
 
-/// Whole pixels from the axis to the star's centroid; 0 within 3 pixels, where exact tip and tilt do better.
+/// Whole pixels from the axis to the star's centroid; 0 within 3 pixels, where exact tip and tilt
+/// do better.
 fn off_axis(frame: &SampledFrame, level: f64) -> [i64; 2] {
     let (rows, columns) = frame.data.dim();
-    // Only pixels above 5 % of the brightest one, so that noise far from the star does not shift the centroid.
+    // Only pixels above 5 % of the brightest one, so that noise far from the star does not shift
+    // the centroid.
     let brightest = frame.extents[..rows].iter().fold(f64::MIN, |most, row| most.max(row.most)) - level;
     let threshold = level + 0.05 * brightest;
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
@@ -389,8 +404,9 @@ fn off_axis(frame: &SampledFrame, level: f64) -> [i64; 2] {
     })
 }
 
-/// Copies the `size` pixels a side about the axis, moved by the shift in `prepared`, into its data, and their variance `floor`
-/// into its floor (infinite for bad pixels; pixels outside the frame are bad). Returns the number of bad pixels.
+/// Copies the `size` pixels a side about the axis, moved by the shift in `prepared`, into its data,
+/// and their variance `floor` into its floor (infinite for bad pixels; pixels outside the frame are
+/// bad). Returns the number of bad pixels.
 fn crop(frame: &SampledFrame, size: usize, floor: f64, prepared: &mut PreparedFrame) -> usize {
     let (rows, columns) = frame.data.dim();
     let [shift_x, shift_y] = prepared.shift_pixels;
@@ -418,20 +434,23 @@ fn crop(frame: &SampledFrame, size: usize, floor: f64, prepared: &mut PreparedFr
     bad_pixels
 }
 
-/// Sets the first weights of cropped data, and the treatment of flux and background. A pixel has `area` native pixels.
+/// Sets the first weights of cropped data, and the treatment of flux and background. A pixel has
+/// `area` native pixels.
 fn weigh(prepared: &mut PreparedFrame, recipe: &Recipe, area: f64) {
     let PreparedFrame { exposure: Exposure { data_e, weight, photometry }, floor_variance_e2: floor, .. } = prepared;
     match recipe.weighting {
         Weighting::Noise => {
             for ((weight, d), floor) in weight.iter_mut().zip(data_e.iter()).zip(floor.iter()) {
-                // The datum is a poor estimate of its variance where few photons are expected: at least that of one electron.
+                // The datum is a poor estimate of its variance where few photons are expected: at
+                // least that of one electron.
                 *weight = 1.0 / (d.max(0.0) + floor.max(area));
             }
         }
         Weighting::None => {
             let good = data_e.iter().zip(floor.iter()).filter(|(_, floor)| floor.is_finite());
             let brightest = good.fold(0.0f64, |m, (&d, _)| m.max(d));
-            // Scaled by the brightest pixel, so that a tolerance means the same for a bright and for a faint star.
+            // Scaled by the brightest pixel, so that a tolerance means the same for a bright and
+            // for a faint star.
             let scale = 1.0 / (brightest * brightest);
             weight.iter_mut().zip(floor.iter()).for_each(|(weight, floor)| {
                 *weight = if floor.is_finite() { scale } else { 0.0 };

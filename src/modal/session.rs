@@ -1,11 +1,13 @@
-//! Session: fits in real time of the images of wavefronts, with all memory allocated when it is created. The images of one wavefront
-//! are a *group*: one frame of each channel of the scene, which is one image where the scene has one channel.
+//! Session: fits in real time of the images of wavefronts, with all memory allocated when it is
+//! created. The images of one wavefront are a *group*: one frame of each channel of the scene,
+//! which is one image where the scene has one channel.
 //!
-//! Frames are fitted as [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no search for outliers in frames that
-//! are reduced, no restarts. The fits of several channels are combined as in `joint.rs`, with the information of each channel taken at
-//! the flat wavefront, at the flux and the noise of its frame, where `joint.rs` computes it at the fitted wavefront in some hundred
-//! evaluations: [`Session::refine`] does so. Weights that are off by a few per cent leave the estimate without bias, and change it by
-//! as many per cent of its error bar.
+//! Frames are fitted as [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no
+//! search for outliers in frames that are reduced, no restarts. The fits of several channels are
+//! combined as in `joint.rs`, with the information of each channel taken at the flat wavefront, at
+//! the flux and the noise of its frame, where `joint.rs` computes it at the fitted wavefront in
+//! some hundred evaluations: [`Session::refine`] does so. Weights that are off by a few per cent
+//! leave the estimate without bias, and change it by as many per cent of its error bar.
 
 mod channel;
 pub(in crate::modal) mod channel_fitters;
@@ -32,19 +34,22 @@ use ndarray::{ArrayView2, ArrayViewMut2};
 use options::check_read_noise;
 use std::time::Instant;
 
-/// A workspace for fits with the models of the channels of a scene: frames are written into it ([`Session::frame_mut`]), fitted, and
-/// their results read. It is one thread's at a time.
+/// A workspace for fits with the models of the channels of a scene: frames are written into it
+/// ([`Session::frame_mut`]), fitted, and their results read. It is one thread's at a time.
 ///
-/// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit of the scene's modes, no modes with a
-/// prior, no restarts; pixels that the model does not explain are rejected in the fit. Device and precision are the scene's
-/// (`estimate.device`, `estimate.precision`) where [`SessionOptions`] leave them open.
+/// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit of the scene's
+/// modes, no modes with a prior, no restarts; pixels that the model does not explain are rejected
+/// in the fit. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
+/// [`SessionOptions`] leave them open.
 ///
-/// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
-/// memory, take no lock and format no text, except for an error message. A fit depends on its own image alone: it is that of
-/// [`ModalFitter::estimate`](super::ModalFitter::estimate) to the last bit, for any number of images, channels and threads.
+/// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`]
+/// neither allocate nor free memory, take no lock and format no text, except for an error message.
+/// A fit depends on its own image alone: it is that of
+/// [`ModalFitter::estimate`](super::ModalFitter::estimate) to the last bit, for any number of
+/// images, channels and threads.
 ///
-/// In several wavelengths pistons are taken within half a wavelength of the start; where that is wrong, the channels contradict each
-/// other, and [`Session::refine`] finds the whole wavelengths.
+/// In several wavelengths pistons are taken within half a wavelength of the start; where that is
+/// wrong, the channels contradict each other, and [`Session::refine`] finds the whole wavelengths.
 pub struct Session {
     fitters: ChannelFitters,
     channels: Vec<SessionChannel>,
@@ -57,12 +62,14 @@ pub struct Session {
 }
 
 impl Session {
-    /// Allocates all memory, and computes the metrics of the fitters where they have none yet (about a second for a large model).
+    /// Allocates all memory, and computes the metrics of the fitters where they have none yet
+    /// (about a second for a large model).
     ///
     /// # Errors
-    /// [`Error::Value`] for options out of range and for a recipe with the paper's BFGS, which cannot be stopped and resumed;
-    /// [`Error::Device`] where the device cannot run the model; [`Error::Scene`] for several channels of which one is in focus, that are
-    /// not weighted by their noise, or whose modes do not span an error of the diversity.
+    /// [`Error::Value`] for options out of range and for a recipe with the paper's BFGS, which
+    /// cannot be stopped and resumed; [`Error::Device`] where the device cannot run the model;
+    /// [`Error::Scene`] for several channels of which one is in focus, that are not weighted by
+    /// their noise, or whose modes do not span an error of the diversity.
     pub fn new(fitters: impl Into<ChannelFitters>, options: &SessionOptions) -> Result<Self> {
         let fitters = fitters.into();
         options.check()?;
@@ -100,8 +107,8 @@ impl Session {
         self.results.len()
     }
 
-    /// Buffers of the frame of a group in a channel, `[y, x]`: electrons and bad pixels, which the caller writes before a fit. A fit
-    /// does not change them.
+    /// Buffers of the frame of a group in a channel, `[y, x]`: electrons and bad pixels, which the
+    /// caller writes before a fit. A fit does not change them.
     ///
     /// # Errors
     /// [`Error::Shape`] beyond the capacity, [`Error::Value`] for a channel that does not exist.
@@ -118,14 +125,14 @@ impl Session {
         })
     }
 
-    /// Fits the frames of groups 0 to `count` − 1, one channel after the other, and combines the fits of several channels. A start of
-    /// `options` is that of all channels; the deadline holds for all fits together. A frame that cannot be fitted has its status in its
-    /// result.
+    /// Fits the frames of groups 0 to `count` − 1, one channel after the other, and combines the
+    /// fits of several channels. A start of `options` is that of all channels; the deadline holds
+    /// for all fits together. A frame that cannot be fitted has its status in its result.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where [`Session::control`] was cancelled, which leaves no results; [`Error::Shape`] for more groups
-    /// than the capacity or a start of another shape, [`Error::Value`] for an option out of range, [`Error::Device`]
-    /// where a device fails.
+    /// [`Error::Interrupted`] where [`Session::control`] was cancelled, which leaves no results;
+    /// [`Error::Shape`] for more groups than the capacity or a start of another shape,
+    /// [`Error::Value`] for an option out of range, [`Error::Device`] where a device fails.
     pub fn fit(&mut self, count: usize, options: &FitOptions) -> Result<()> {
         let began = Instant::now();
         self.discard_results();
@@ -152,13 +159,15 @@ impl Session {
         &self.results[..self.fitted]
     }
 
-    /// The result of a group of the last fit with its covariance: in one channel that of the noise at the fitted wavefront, scaled by χ²
-    /// where the model misfits. The fits of several channels are combined by the information at their wavefronts, and the whole
-    /// wavelengths of pistons found: the estimate of [`Estimator`](crate::pipeline::Estimator) by the policy realtime from the same frames.
-    /// It allocates, and takes some hundred evaluations of each channel.
+    /// The result of a group of the last fit with its covariance: in one channel that of the noise
+    /// at the fitted wavefront, scaled by χ² where the model misfits. The fits of several channels
+    /// are combined by the information at their wavefronts, and the whole wavelengths of pistons
+    /// found: the estimate of [`Estimator`](crate::pipeline::Estimator) by the policy realtime from
+    /// the same frames. It allocates, and takes some hundred evaluations of each channel.
     ///
     /// # Errors
-    /// [`Error::Value`] for a group that was not fitted or that no mode changes, and unless the fits of several channels converged.
+    /// [`Error::Value`] for a group that was not fitted or that no mode changes, and unless the
+    /// fits of several channels converged.
     pub fn refine(&self, group: usize) -> Result<RefinedGroup> {
         if self.combiner.is_none() {
             let channel = &self.channels[0];
@@ -194,11 +203,13 @@ impl Session {
         &self.control
     }
 
-    /// Prepares the frames of a channel in groups 0 to `count` − 1 for [`Session::evaluate`], weighted by the noise of their own pixels.
+    /// Prepares the frames of a channel in groups 0 to `count` − 1 for [`Session::evaluate`],
+    /// weighted by the noise of their own pixels.
     ///
     /// # Errors
-    /// [`Error::Image`] for the first that cannot be used, [`Error::Shape`] for more than the capacity, [`Error::Value`] for a channel that
-    /// does not exist or a read noise out of range, [`Error::Device`] where a device fails.
+    /// [`Error::Image`] for the first that cannot be used, [`Error::Shape`] for more than the
+    /// capacity, [`Error::Value`] for a channel that does not exist or a read noise out of range,
+    /// [`Error::Device`] where a device fails.
     pub fn load(&mut self, channel: usize, count: usize, read_noise_e: Option<f64>) -> Result<()> {
         self.discard_results();
         self.check_count(count)?;
@@ -206,12 +217,14 @@ impl Session {
         self.channel_mut(channel)?.load(count, read_noise_e)
     }
 
-    /// Objectives of the loaded images of a channel at `coefficients_nm` (`[image, mode]`, nm; fewer images than are loaded are the
-    /// first ones), and their gradients per nm, image by image.
+    /// Objectives of the loaded images of a channel at `coefficients_nm` (`[image, mode]`, nm;
+    /// fewer images than are loaded are the first ones), and their gradients per nm, image by
+    /// image.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the arrays do not fit each other, the model or what is loaded; [`Error::Value`] where
-    /// nothing is, and for a channel that does not exist; [`Error::Device`] where a device fails.
+    /// [`Error::Shape`] where the arrays do not fit each other, the model or what is loaded;
+    /// [`Error::Value`] where nothing is, and for a channel that does not exist; [`Error::Device`]
+    /// where a device fails.
     pub fn evaluate(
         &mut self,
         channel: usize,

@@ -1,4 +1,5 @@
-//! Solution of the fits of a batch of images: engines, optimiser, restarts, and the order in which fits are made.
+//! Solution of the fits of a batch of images: engines, optimiser, restarts, and the order in which
+//! fits are made.
 
 pub(in crate::modal) mod engine;
 pub(in crate::modal) mod fit_series;

@@ -1,7 +1,7 @@
 //! Modes given as maps on the pupil grid: segment modes, and bases from a file.
 //!
-//! A segment mode is zero outside its segment and is stored as a list of its samples: three modes of each of 798 segments on
-//! a grid of 1,024 samples a side take 19 GB as maps and 30 MB as lists.
+//! A segment mode is zero outside its segment and is stored as a list of its samples: three modes
+//! of each of 798 segments on a grid of 1,024 samples a side take 19 GB as maps and 30 MB as lists.
 
 mod products;
 
@@ -43,7 +43,8 @@ impl Group {
 /// A map as a list of its nonzero samples: `(y·samples + x, value)`, in ascending order.
 pub(super) type SparseMap = Vec<(u32, f64)>;
 
-/// Modes given by their values at the samples of a grid, OPD in nm per nm of coefficient. They cannot be evaluated elsewhere.
+/// Modes given by their values at the samples of a grid, OPD in nm per nm of coefficient. They
+/// cannot be evaluated elsewhere.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Basis {
     names: Vec<String>,
@@ -55,11 +56,12 @@ pub struct Basis {
 }
 
 impl Basis {
-    /// Modes from a cube `[modes, y, x]` on the pupil grid, with a name and a group for each. Names are trimmed.
+    /// Modes from a cube `[modes, y, x]` on the pupil grid, with a name and a group for each. Names
+    /// are trimmed.
     ///
     /// # Errors
-    /// [`Error::Shape`] where numbers differ or the maps are not square; [`Error::Value`] for a sample that is not
-    /// finite or a name that is empty or used twice.
+    /// [`Error::Shape`] where numbers differ or the maps are not square; [`Error::Value`] for a
+    /// sample that is not finite or a name that is empty or used twice.
     pub fn from_cube(names: Vec<String>, groups: Vec<Group>, maps: Array3<f64>) -> Result<Self> {
         let (_, rows, columns) = maps.dim();
         if rows != columns {
@@ -135,8 +137,8 @@ impl Basis {
         self.dense.dim().1
     }
 
-    /// All maps, `[modes, y, x]`: gigabytes for many segments on a fine grid. [`Basis::combined`], [`Basis::along`],
-    /// [`Basis::gram`] and [`Basis::variance`] do not need them.
+    /// All maps, `[modes, y, x]`: gigabytes for many segments on a fine grid. [`Basis::combined`],
+    /// [`Basis::along`], [`Basis::gram`] and [`Basis::variance`] do not need them.
     pub fn maps(&self) -> Array3<f64> {
         let samples = self.samples();
         let mut maps = Array3::zeros((self.len(), samples, samples));
@@ -150,7 +152,8 @@ impl Basis {
     /// These modes, then those of `other`.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the maps differ in shape; [`Error::Value`] where a name appears in both.
+    /// [`Error::Shape`] where the maps differ in shape; [`Error::Value`] where a name appears in
+    /// both.
     pub fn followed_by(&self, other: &Self) -> Result<Self> {
         let (left, right) = (self.samples(), other.samples());
         if left != right {

@@ -8,8 +8,8 @@ use ndarray::{Array2, ArrayView1, ArrayViewMut2};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A square grid of actuators centred on the optical axis (Fried geometry: `actuators_across − 1` lenslets across, an
-/// actuator on each lenslet corner).
+/// A square grid of actuators centred on the optical axis (Fried geometry: `actuators_across − 1`
+/// lenslets across, an actuator on each lenslet corner).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mirror {
     actuators_across: usize,
@@ -18,18 +18,21 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// Default of the largest distance of an actuator from the nearest illuminated sample, in pitches. In the Fried geometry
-    /// the actuators are at the lenslet corners, 1/√2 = 0.71 pitch from the centres: so all corners of a lenslet whose
-    /// centre is illuminated are included, with a margin for the sampling of the pupil, and every included actuator moves
-    /// the nearest illuminated sample by at least a third of its stroke (0.1458^(0.75²) = 0.34). Actuators farther away add
-    /// little to the range of the mirror, and much to the condition number of its influence functions.
+    /// Default of the largest distance of an actuator from the nearest illuminated sample, in
+    /// pitches. In the Fried geometry the actuators are at the lenslet corners, 1/√2 = 0.71 pitch
+    /// from the centres: so all corners of a lenslet whose centre is illuminated are included, with
+    /// a margin for the sampling of the pupil, and every included actuator moves the nearest
+    /// illuminated sample by at least a third of its stroke (0.1458^(0.75²) = 0.34). Actuators
+    /// farther away add little to the range of the mirror, and much to the condition number of its
+    /// influence functions.
     pub const DEFAULT_MARGIN_PITCHES: f64 = 0.75;
 
-    /// A mirror of `actuators_across` actuators a side, `pitch_m` apart as seen in the entrance pupil, whose influence
-    /// falls to `coupling` (in (0, 1)) at the neighbouring actuator.
+    /// A mirror of `actuators_across` actuators a side, `pitch_m` apart as seen in the entrance
+    /// pupil, whose influence falls to `coupling` (in (0, 1)) at the neighbouring actuator.
     ///
     /// # Errors
-    /// [`Error::Value`] for no actuators, a pitch that is not positive, or a coupling outside (0, 1).
+    /// [`Error::Value`] for no actuators, a pitch that is not positive, or a coupling outside (0,
+    /// 1).
     pub fn new(actuators_across: usize, pitch_m: f64, coupling: f64) -> Result<Self> {
         if !(1..=4096).contains(&actuators_across) {
             let text = format!("a mirror {actuators_across} actuators across is impossible: 1 to 4096 are accepted");
@@ -78,8 +81,8 @@ impl Mirror {
     /// [`DEFAULT_MARGIN_PITCHES`](Self::DEFAULT_MARGIN_PITCHES).
     ///
     /// # Errors
-    /// [`Error::Value`] for a margin that is negative or not finite, a pupil without illuminated samples, or no actuator within
-    /// the margin.
+    /// [`Error::Value`] for a margin that is negative or not finite, a pupil without illuminated
+    /// samples, or no actuator within the margin.
     pub fn near(&self, pupil: &Pupil, margin_pitches: f64) -> Result<InfluenceFunctions> {
         if !(margin_pitches.is_finite() && margin_pitches >= 0.0) {
             let text = format!("an actuator margin of {margin_pitches} pitches is impossible: 0 or more is accepted");
@@ -151,8 +154,9 @@ impl Mirror {
     }
 }
 
-/// The cells `row·across + column`, ascending, that are marked 1 in a map: `across` lines of as many 0s
-/// and 1s, with or without white space between them; the first line is the row of smallest y.
+/// The cells `row·across + column`, ascending, that are marked 1 in a map: `across` lines of as
+/// many 0s and 1s, with or without white space between them; the first line is the row of smallest
+/// y.
 ///
 /// # Errors
 /// [`Error::Shape`] where the map has another shape, [`Error::Value`] for any other entry.
@@ -186,7 +190,8 @@ pub fn marked_cells(map: &str, across: usize) -> Result<Vec<usize>> {
     Ok(marked)
 }
 
-/// The influence functions of a mirror's actuators: the Gaussian `coupling^((r/pitch)²)`, 1 at the actuator, or measured ones.
+/// The influence functions of a mirror's actuators: the Gaussian `coupling^((r/pitch)²)`, 1 at the
+/// actuator, or measured ones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InfluenceFunctions {
     mirror: Mirror,
@@ -200,8 +205,8 @@ impl InfluenceFunctions {
     /// These actuators with measured functions in place of the Gaussian ones.
     ///
     /// # Errors
-    /// [`Error::Value`] for another number of functions than actuators, and for functions in another order: of which most have their peak
-    /// farther than a pitch from their actuator.
+    /// [`Error::Value`] for another number of functions than actuators, and for functions in
+    /// another order: of which most have their peak farther than a pitch from their actuator.
     pub fn measured(self, measured: Arc<MeasuredInfluence>) -> Result<Self> {
         if let Some(count) = measured.count().filter(|&count| count != self.len()) {
             return Err(Error::Value(format!(
@@ -216,7 +221,8 @@ impl InfluenceFunctions {
         };
         let far: Vec<usize> =
             peaks_m.iter().zip(&places_m).enumerate().filter(|(_, pair)| is_far(*pair)).map(|(at, _)| at).collect();
-        // Those at the edge may have been measured within the pupil only, so that their peaks are elsewhere.
+        // Those at the edge may have been measured within the pupil only, so that their peaks are
+        // elsewhere.
         if 2 * far.len() > peaks_m.len() {
             let (at, [x, y], place) = (far[0], peaks_m[far[0]], places_m[far[0]]);
             return Err(Error::Value(format!(
@@ -239,13 +245,15 @@ impl InfluenceFunctions {
         self.measured.is_none()
     }
 
-    /// The measured function of `actuator` on the square grid with these coordinates along both axes, ascending; `None` for a Gaussian.
+    /// The measured function of `actuator` on the square grid with these coordinates along both
+    /// axes, ascending; `None` for a Gaussian.
     pub(crate) fn window(&self, actuator: usize, coordinates_m: &[f64]) -> Option<InfluenceWindow> {
         let measured = self.measured.as_ref()?;
         Some(measured.window(actuator, self.position_m(self.indices[actuator]), coordinates_m))
     }
 
-    /// Function of each actuator on the square grid with these coordinates along both axes, ascending. Those of a Gaussian end where they are below 10⁻⁸.
+    /// Function of each actuator on the square grid with these coordinates along both axes,
+    /// ascending. Those of a Gaussian end where they are below 10⁻⁸.
     pub(crate) fn windows(&self, coordinates_m: &[f64]) -> Vec<InfluenceWindow> {
         if !self.is_separable() {
             return (0..self.len()).filter_map(|actuator| self.window(actuator, coordinates_m)).collect();
@@ -301,8 +309,9 @@ impl InfluenceFunctions {
         Ok(values)
     }
 
-    /// The factors of the influence functions along one coordinate, `[column or row of actuators, point]`, and the index
-    /// `row·across + column` of each actuator among their products; for Gaussian functions only.
+    /// The factors of the influence functions along one coordinate,
+    /// `[column or row of actuators, point]`, and the index `row·across + column` of each actuator
+    /// among their products; for Gaussian functions only.
     pub(crate) fn along(&self, coordinates_m: &[f64]) -> (Array2<f64>, &[usize]) {
         let rate = self.mirror.coupling.ln() / self.mirror.pitch_m.powi(2);
         let line = Array2::from_shape_fn((self.mirror.actuators_across, coordinates_m.len()), |(i, point)| {
@@ -311,8 +320,9 @@ impl InfluenceFunctions {
         (line, &self.indices)
     }
 
-    /// Writes the values into `values`, `[actuators, points]`. A Gaussian is the product of one in x and one in y:
-    /// two exponentials per point and grid line instead of one per point and actuator.
+    /// Writes the values into `values`, `[actuators, points]`. A Gaussian is the product of one in
+    /// x and one in y: two exponentials per point and grid line instead of one per point and
+    /// actuator.
     pub(super) fn fill(&self, xs_m: &[f64], ys_m: &[f64], mut values: ArrayViewMut2<f64>) {
         if let Some(measured) = &self.measured {
             for (actuator, mut row) in values.rows_mut().into_iter().enumerate() {
@@ -335,7 +345,8 @@ impl InfluenceFunctions {
     }
 }
 
-/// Samples that each line of actuators reaches, of functions with one maximum along an axis, `[line, sample]`.
+/// Samples that each line of actuators reaches, of functions with one maximum along an axis,
+/// `[line, sample]`.
 pub(crate) fn reach(along: &Array2<f64>) -> Vec<Range<usize>> {
     const NEGLIGIBLE: f64 = 1e-8;
     let seen = |value: &f64| *value > NEGLIGIBLE;

@@ -1,12 +1,13 @@
-//! Karhunen-Loève modes of a deformable mirror: combinations of its influence functions that are uncorrelated in turbulence,
-//! by decreasing variance.
+//! Karhunen-Loève modes of a deformable mirror: combinations of its influence functions that are
+//! uncorrelated in turbulence, by decreasing variance.
 //!
-//! Double diagonalisation (E. Gendron's thesis, 1995; as in OOMAO): the eigenvectors of the geometric covariance of the
-//! piston-removed influence functions give an orthonormal basis of the mirror's space over the pupil; in this basis, the
-//! eigenvectors of the covariance of the projected turbulent wavefront are the modes.
+//! Double diagonalisation (E. Gendron's thesis, 1995; as in OOMAO): the eigenvectors of the
+//! geometric covariance of the piston-removed influence functions give an orthonormal basis of the
+//! mirror's space over the pupil; in this basis, the eigenvectors of the covariance of the
+//! projected turbulent wavefront are the modes.
 //!
-//! The statistics are computed on the grid of the pupil if its sampling suits the mirror, and on a grid of their own
-//! otherwise; the modes are then orthonormalised over the pupil as given.
+//! The statistics are computed on the grid of the pupil if its sampling suits the mirror, and on a
+//! grid of their own otherwise; the modes are then orthonormalised over the pupil as given.
 
 use super::influence::InfluenceFunctions;
 use super::linalg::symmetric_eigen;
@@ -23,29 +24,33 @@ use ndarray::{Array2, ArrayView1, ArrayViewMut1, Axis};
 use num_complex::Complex64;
 use std::sync::Arc;
 
-/// Samples per actuator pitch below which the grid of the pupil is not used. A Gaussian of 15 % coupling has σ = 0.51 pitch,
-/// here 1.5 samples: its spectrum is exp(−(π·1.5)²/2) = 1e-5 at the Nyquist frequency.
+/// Samples per actuator pitch below which the grid of the pupil is not used. A Gaussian of 15 %
+/// coupling has σ = 0.51 pitch, here 1.5 samples: its spectrum is exp(−(π·1.5)²/2) = 1e-5 at the
+/// Nyquist frequency.
 const ENOUGH_PER_PITCH: f64 = 3.0;
 
-/// Samples per pitch of the grid used instead, if it is within [`USUAL_GRID`]. The functions need 3, the edge of the pupil
-/// more: with 3, the span of 66 modes rotates by up to 0.5 degrees and their variances change by 0.3 %.
+/// Samples per pitch of the grid used instead, if it is within [`USUAL_GRID`]. The functions need
+/// 3, the edge of the pupil more: with 3, the span of 66 modes rotates by up to 0.5 degrees and
+/// their variances change by 0.3 %.
 const GOOD_PER_PITCH: f64 = 6.0;
 
-/// Grids with more samples a side are only as fine as necessary (time and memory are proportional to actuators × samples).
+/// Grids with more samples a side are only as fine as necessary (time and memory are proportional
+/// to actuators × samples).
 const USUAL_GRID: f64 = 256.0;
 
 /// Largest grid, samples a side: for 170 actuators across.
 const LARGEST_GRID: f64 = 512.0;
 
-/// Combinations of influence functions whose RMS over the pupil is below this fraction of the largest are truncated: they
-/// are differences of actuators beyond the edge, determined by rounding (in the covariance the limit is 1e-9, six digits
-/// above the error of the eigenvalues).
+/// Combinations of influence functions whose RMS over the pupil is below this fraction of the
+/// largest are truncated: they are differences of actuators beyond the edge, determined by rounding
+/// (in the covariance the limit is 1e-9, six digits above the error of the eigenvalues).
 const SMALLEST_RMS: f64 = 3e-5;
 
 /// The first Karhunen-Loève modes of a mirror.
 #[derive(Debug, Clone)]
 pub struct KarhunenLoeve {
-    /// The modes, `kl-00`, `kl-01` …: without piston, orthonormal over the pupil (weight A), by decreasing variance.
+    /// The modes, `kl-00`, `kl-01` …: without piston, orthonormal over the pupil (weight A), by
+    /// decreasing variance.
     pub basis: SmoothBasis,
     /// Variance of each mode in turbulence, nm².
     pub variances_nm2: Vec<f64>,
@@ -54,8 +59,8 @@ pub struct KarhunenLoeve {
 /// The first `count` Karhunen-Loève modes of `influence` over `pupil` under `turbulence`.
 ///
 /// # Errors
-/// Those of [`Samples::from_pupil`]; [`Error::Value`] where `count` is 0 or exceeds the number of modes of the mirror, or the grid
-/// is too wide for the pitch.
+/// Those of [`Samples::from_pupil`]; [`Error::Value`] where `count` is 0 or exceeds the number of
+/// modes of the mirror, or the grid is too wide for the pitch.
 pub fn karhunen_loeve(
     influence: &InfluenceFunctions,
     pupil: &Pupil,
@@ -65,7 +70,8 @@ pub fn karhunen_loeve(
     modes(influence, pupil, turbulence, ModeCount::Exactly(count))
 }
 
-/// The first `most` modes, or all that the mirror has and the samples of the pupil resolve, if those are fewer.
+/// The first `most` modes, or all that the mirror has and the samples of the pupil resolve, if
+/// those are fewer.
 ///
 /// # Errors
 /// Those of [`Samples::from_pupil`]; [`Error::Value`] for a grid that is too wide for the pitch.
@@ -147,9 +153,10 @@ fn modes(
     Ok(KarhunenLoeve { basis: modes.basis, variances_nm2 })
 }
 
-/// Refuses modes of `actuators` influence functions at `samples` samples that the machine cannot hold, in numbers of 8 bytes: the
-/// functions, these with their weights, and their convolution with the turbulence, three times actuators × samples; covariances,
-/// eigenvectors and combinations, eight times actuators². Measured with 1,500 actuators at 43,000 samples: 1.2 GB of 1.7.
+/// Refuses modes of `actuators` influence functions at `samples` samples that the machine cannot
+/// hold, in numbers of 8 bytes: the functions, these with their weights, and their convolution with
+/// the turbulence, three times actuators × samples; covariances, eigenvectors and combinations,
+/// eight times actuators². Measured with 1,500 actuators at 43,000 samples: 1.2 GB of 1.7.
 ///
 /// # Errors
 /// [`Error::Value`].
@@ -183,7 +190,8 @@ fn geometric_modes(covariance: &Array2<f64>) -> Result<Array2<f64>> {
     Ok(combination)
 }
 
-/// The pupil on a grid that suits the mirror: the pupil itself, or its amplitude averaged over the cells of another grid.
+/// The pupil on a grid that suits the mirror: the pupil itself, or its amplitude averaged over the
+/// cells of another grid.
 fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
     // Checks the shape of the amplitude before it is indexed.
     Samples::from_pupil(pupil)?;
@@ -214,11 +222,12 @@ fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
     Ok(Pupil { grid: Grid::new(size, width_m)?, amplitude, owner, segments: vec![] })
 }
 
-/// Covariance of the turbulent wavefront's projections on functions: Σ_pq f_p w_p B(p − q) w_q g_q for all pairs, nm².
-/// `weighted` is `[functions, samples]` and already holds the weights; each function has zero mean.
+/// Covariance of the turbulent wavefront's projections on functions: Σ_pq f_p w_p B(p − q) w_q g_q
+/// for all pairs, nm². `weighted` is `[functions, samples]` and already holds the weights; each
+/// function has zero mean.
 ///
-/// B is replaced by −D/2. They differ by a constant, whose projection on functions without piston is zero, and D is finite
-/// and small where B(0) is large or, for Kolmogorov turbulence, infinite.
+/// B is replaced by −D/2. They differ by a constant, whose projection on functions without piston
+/// is zero, and D is finite and small where B(0) is large or, for Kolmogorov turbulence, infinite.
 fn statistical_covariance(
     weighted: &Array2<f64>,
     samples: &Samples,
@@ -333,7 +342,8 @@ mod tests {
                     size += term.abs();
                 }
             }
-            // A thousand terms summed in another order, relative to their sizes: 1e-16 · √1000 and a margin of ten.
+            // A thousand terms summed in another order, relative to their sizes: 1e-16 · √1000 and
+            // a margin of ten.
             assert!((value - slow).abs() < 5e-14 * size, "[{i}, {j}]: {value} against {slow}");
         }
     }

@@ -1,15 +1,17 @@
-//! Measured influence functions of a deformable mirror: samples on square grids, interpolated bilinearly.
+//! Measured influence functions of a deformable mirror: samples on square grids, interpolated
+//! bilinearly.
 
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, ArrayView3, s};
 use std::ops::Range;
 
-/// Rows and columns at the edges of a function whose values are all below this fraction of its largest one are left out: at a stroke of
-/// 10 µm they move the mirror by 1e-3 nm. It is the cut of the Gaussian functions in simulations, and the rounding of single precision.
+/// Rows and columns at the edges of a function whose values are all below this fraction of its
+/// largest one are left out: at a stroke of 10 µm they move the mirror by 1e-3 nm. It is the cut of
+/// the Gaussian functions in simulations, and the rounding of single precision.
 const NEGLIGIBLE: f64 = 1e-7;
 
-/// Influence functions as they were measured, in wavefront relative to the command: of each actuator over the pupil, or one that all
-/// actuators have in common.
+/// Influence functions as they were measured, in wavefront relative to the command: of each
+/// actuator over the pupil, or one that all actuators have in common.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasuredInfluence {
     /// Distance of the samples, m.
@@ -19,10 +21,12 @@ pub struct MeasuredInfluence {
     is_common: bool,
 }
 
-/// Samples `[y, x]` of one function within the rectangle that holds its values; one sample beyond it the function is 0.
+/// Samples `[y, x]` of one function within the rectangle that holds its values; one sample beyond
+/// it the function is 0.
 #[derive(Debug, Clone, PartialEq)]
 struct Patch {
-    /// x and y of the first sample, m: from the optical axis, or from the actuator for a common function.
+    /// x and y of the first sample, m: from the optical axis, or from the actuator for a common
+    /// function.
     first_m: [f64; 2],
     values: Array2<f32>,
     /// x and y of the sample with the largest absolute value, m, and this value.
@@ -31,11 +35,12 @@ struct Patch {
 }
 
 impl MeasuredInfluence {
-    /// Functions of all actuators, `[actuator, y, x]`, over a square of `width_m` about the optical axis that the samples tile.
+    /// Functions of all actuators, `[actuator, y, x]`, over a square of `width_m` about the optical
+    /// axis that the samples tile.
     ///
     /// # Errors
-    /// [`Error::Shape`] for maps that are not square; [`Error::Value`] for a width that is not positive, and for a function that is not
-    /// finite or 0 everywhere.
+    /// [`Error::Shape`] for maps that are not square; [`Error::Value`] for a width that is not
+    /// positive, and for a function that is not finite or 0 everywhere.
     pub fn of_each(functions: ArrayView3<f64>, width_m: f64) -> Result<Self> {
         let (count, n, columns) = functions.dim();
         if n != columns || n == 0 || count == 0 {
@@ -56,10 +61,12 @@ impl MeasuredInfluence {
         Ok(Self { pitch_m, patches, is_common: false })
     }
 
-    /// One function of all actuators, `[y, x]` with samples `pitch_m` apart; the actuator is at sample [rows/2, columns/2], rounded down.
+    /// One function of all actuators, `[y, x]` with samples `pitch_m` apart; the actuator is at
+    /// sample [rows/2, columns/2], rounded down.
     ///
     /// # Errors
-    /// [`Error::Value`] for a pitch that is not positive, and for a function that is not finite or 0 everywhere.
+    /// [`Error::Value`] for a pitch that is not positive, and for a function that is not finite or
+    /// 0 everywhere.
     pub fn common(function: ArrayView2<f64>, pitch_m: f64) -> Result<Self> {
         let pitch_m = checked_pitch(pitch_m)?;
         check(function, format_args!("the influence function"))?;
@@ -96,7 +103,8 @@ impl MeasuredInfluence {
         patch.value(x_m - at_x_m, y_m - at_y_m, self.pitch_m)
     }
 
-    /// Function of `actuator`, which is at `place_m`, on the square grid with these coordinates along both axes, ascending.
+    /// Function of `actuator`, which is at `place_m`, on the square grid with these coordinates
+    /// along both axes, ascending.
     pub(super) fn window(&self, actuator: usize, place_m: (f64, f64), coordinates_m: &[f64]) -> InfluenceWindow {
         let (patch, at_m) = self.patch(actuator, place_m);
         let (rows, columns) = patch.values.dim();
@@ -234,7 +242,8 @@ mod tests {
                 let there = if inside { window.values[[y - window.rows.start, x - window.columns.start]] } else { 0.0 };
                 assert_eq!(there, *value, "actuator {actuator}, row {y}, column {x}");
             }
-            // Nine and seven samples of 0.13 m, and one on either side, of 0.1 m: nothing else is held.
+            // Nine and seven samples of 0.13 m, and one on either side, of 0.1 m: nothing else is
+            // held.
             assert!(window.values.nrows() <= 11 && window.values.ncols() <= 13);
         }
     }

@@ -1,8 +1,9 @@
 //! Mode bases: segment motions, and the aberrations of the optics behind the segments.
 //!
-//! There are two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, petals) consists of functions and can be evaluated at
-//! any point; a [`Basis`] (segment modes, modes from a file) consists of maps on the grid of the pupil. The unit of a
-//! coefficient is nm of piston of a segment, or nm RMS over the pupil (weight A).
+//! There are two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, petals) consists of functions
+//! and can be evaluated at any point; a [`Basis`] (segment modes, modes from a file) consists of
+//! maps on the grid of the pupil. The unit of a coefficient is nm of piston of a segment, or nm RMS
+//! over the pupil (weight A).
 //!
 //! ```text
 //! Zernikes ───────────┐                     ┌ zernike_basis

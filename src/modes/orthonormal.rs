@@ -7,10 +7,12 @@ use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 
-/// Modes with zero mean and unit RMS over a pupil (weight A), orthogonal to each other, and the modes dropped.
+/// Modes with zero mean and unit RMS over a pupil (weight A), orthogonal to each other, and the
+/// modes dropped.
 #[derive(Debug, Clone)]
 pub struct OrthonormalBasis {
-    /// The modes: each is its raw mode minus a combination of the modes before it, so that names and order are kept.
+    /// The modes: each is its raw mode minus a combination of the modes before it, so that names
+    /// and order are kept.
     pub basis: SmoothBasis,
     /// Modes in the span of piston and the modes before them.
     pub dropped: Vec<DroppedMode>,
@@ -25,15 +27,17 @@ pub struct DroppedMode {
     pub remainder: f64,
 }
 
-/// Removes piston and orthonormalises `raw` over `pupil` (weight A) in its own order. A mode whose component outside the
-/// span of those before it is below `smallest` (a fraction of its RMS, in \[1e-6, 1)) is dropped and reported.
+/// Removes piston and orthonormalises `raw` over `pupil` (weight A) in its own order. A mode whose
+/// component outside the span of those before it is below `smallest` (a fraction of its RMS, in
+/// \[1e-6, 1)) is dropped and reported.
 ///
-/// Cholesky of the Gram matrix, twice (Yamamoto et al. 2015, "Roundoff error analysis of the CholeskyQR2 algorithm",
-/// ETNA 44): the error after the first pass is up to ε·κ², and the second pass removes it. That holds for κ² < 1/ε, hence
-/// the lower limit of 1e-6.
+/// Cholesky of the Gram matrix, twice (Yamamoto et al. 2015, "Roundoff error analysis of the
+/// CholeskyQR2 algorithm", ETNA 44): the error after the first pass is up to ε·κ², and the second
+/// pass removes it. That holds for κ² < 1/ε, hence the lower limit of 1e-6.
 ///
 /// # Errors
-/// Those of [`Samples::from_pupil`]; [`Error::Value`] for a threshold out of range, modes that are not finite, or none left.
+/// Those of [`Samples::from_pupil`]; [`Error::Value`] for a threshold out of range, modes that are
+/// not finite, or none left.
 pub fn orthonormalise(raw: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result<OrthonormalBasis> {
     if !(1e-6..1.0).contains(&smallest) {
         let text = format!("a smallest remainder of {smallest} is out of range: 1e-6 to below 1 is accepted");
@@ -46,12 +50,13 @@ pub fn orthonormalise(raw: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result
     Ok(OrthonormalBasis { basis: second.basis, dropped: first.dropped })
 }
 
-/// The Zernike modes of Noll indices `first` to `last`, orthonormal over `pupil`, also to piston, tip, tilt and every
-/// other polynomial before `first`, so that they do not depend on the disc of the polynomials.
+/// The Zernike modes of Noll indices `first` to `last`, orthonormal over `pupil`, also to piston,
+/// tip, tilt and every other polynomial before `first`, so that they do not depend on the disc of
+/// the polynomials.
 ///
 /// # Errors
-/// Those of [`orthonormalise`]; [`Error::Value`] for an empty range, or more modes than the samples of the pupil
-/// resolve.
+/// Those of [`orthonormalise`]; [`Error::Value`] for an empty range, or more modes than the samples
+/// of the pupil resolve.
 pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothBasis> {
     if first < 2 || last < first {
         let text = format!(
@@ -74,7 +79,8 @@ pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothB
     Ok(all.basis.selected(&(first - 2..=last - 2).collect::<Vec<_>>()))
 }
 
-/// The Zernike polynomials of Noll indices `first` to `last` on the circle around `pupil`, of unit RMS over the circle.
+/// The Zernike polynomials of Noll indices `first` to `last` on the circle around `pupil`, of unit
+/// RMS over the circle.
 ///
 /// # Errors
 /// Those of [`Samples::from_pupil`]; [`Error::Value`] for an index out of range.
@@ -83,9 +89,9 @@ pub fn circle_zernikes(first: usize, last: usize, pupil: &Pupil) -> Result<Smoot
     Ok(SmoothBasis::zernike(Zernikes::new(first..=last, radius_m)?))
 }
 
-/// The modes of `exact` first, then those of `other` with the span of `exact` projected out; all orthonormal over
-/// `pupil`, names kept. Modes of `other` of which less than `smallest` (a fraction of their RMS; 1e-3 is a good
-/// choice) remains are dropped and reported.
+/// The modes of `exact` first, then those of `other` with the span of `exact` projected out; all
+/// orthonormal over `pupil`, names kept. Modes of `other` of which less than `smallest` (a fraction
+/// of their RMS; 1e-3 is a good choice) remains are dropped and reported.
 ///
 /// # Errors
 /// Those of [`orthonormalise`].

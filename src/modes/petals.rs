@@ -1,5 +1,5 @@
-//! Petal modes: piston, tip and tilt of each part of a pupil that its spider separates (island or low-wind effect; Sauvage et al. 2016,
-//! Proc. SPIE 9909, 990916).
+//! Petal modes: piston, tip and tilt of each part of a pupil that its spider separates (island or
+//! low-wind effect; Sauvage et al. 2016, Proc. SPIE 9909, 990916).
 
 use super::segment::{SegmentModes, TiltFrame, tilt_frames};
 use crate::pupil::{Pupil, PupilParts};
@@ -17,11 +17,12 @@ pub struct Petals {
 }
 
 impl Petals {
-    /// The motions `modes` of each of the `parts` of `pupil`: pistons of 1, tips (along x) and tilts (along y) about the centroid of the part
-    /// (weight A), of unit RMS over it.
+    /// The motions `modes` of each of the `parts` of `pupil`: pistons of 1, tips (along x) and
+    /// tilts (along y) about the centroid of the part (weight A), of unit RMS over it.
     ///
     /// # Errors
-    /// [`Error::Value`] for a pupil in one part, for a part without light, and for one with too few samples for its tilts.
+    /// [`Error::Value`] for a pupil in one part, for a part without light, and for one with too few
+    /// samples for its tilts.
     pub fn new(parts: PupilParts, pupil: &Pupil, modes: SegmentModes) -> Result<Self> {
         let count = parts.count();
         if count < 2 {

@@ -1,27 +1,28 @@
-//! Degeneracy report: the combinations of modes that the data do not determine, or determine weakly.
+//! Degeneracy report: the combinations of modes that the data do not determine, or determine
+//! weakly.
 
 use super::linalg::symmetric_eigen;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, s};
 use std::fmt;
 
-/// Singular values below this count as null. Eigenvalues of a matrix of unit diagonal carry an error of about
-/// (modes)·ε ≈ 1e-13 at 1,000 modes, whose root is 3e-7.
+/// Singular values below this count as null. Eigenvalues of a matrix of unit diagonal carry an
+/// error of about (modes)·ε ≈ 1e-13 at 1,000 modes, whose root is 3e-7.
 pub const NULL_BELOW: f64 = 1e-6;
 
-/// Default limit of weak directions: with a singular value below this, the error of a direction is more than five times
-/// that of a single mode.
+/// Default limit of weak directions: with a singular value below this, the error of a direction is
+/// more than five times that of a single mode.
 pub const WEAK_BELOW: f64 = 0.2;
 
 /// Components of each direction in its description.
 const SHOWN: usize = 4;
 
-/// Null and weakly determined directions of a Gram or Fisher matrix. The modes are first scaled to a unit diagonal, so that
-/// the result does not depend on units and areas.
+/// Null and weakly determined directions of a Gram or Fisher matrix. The modes are first scaled to
+/// a unit diagonal, so that the result does not depend on units and areas.
 #[derive(Debug, Clone)]
 pub struct Degeneracy {
-    /// Singular values, in decreasing order: √2 for two identical modes, 1 for a mode orthogonal to all others, 0 for a null
-    /// direction.
+    /// Singular values, in decreasing order: √2 for two identical modes, 1 for a mode orthogonal to
+    /// all others, 0 for a null direction.
     pub singular_values: Vec<f64>,
     /// Directions that the data do not determine.
     pub null: Vec<Direction>,
@@ -43,14 +44,16 @@ pub struct Direction {
 }
 
 impl Degeneracy {
-    /// Analyses a symmetric positive semi-definite `[modes, modes]` matrix: products of modes over the pupil, or a Fisher
-    /// matrix. Directions with singular values below `weak_below` are listed as weak.
+    /// Analyses a symmetric positive semi-definite `[modes, modes]` matrix: products of modes over
+    /// the pupil, or a Fisher matrix. Directions with singular values below `weak_below` are listed
+    /// as weak.
     ///
     /// Modes whose names end in `-piston` are taken as segment pistons.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the matrix is not square or does not have one row per name; [`Error::Value`] where an entry is
-    /// not finite, a diagonal entry is negative, or `weak_below` is not a number.
+    /// [`Error::Shape`] where the matrix is not square or does not have one row per name;
+    /// [`Error::Value`] where an entry is not finite, a diagonal entry is negative, or `weak_below`
+    /// is not a number.
     pub fn from_matrix(matrix: &Array2<f64>, names: &[String], weak_below: f64) -> Result<Self> {
         let modes = names.len();
         if matrix.dim() != (modes, modes) {
@@ -102,14 +105,16 @@ fn is_piston(name: &str) -> bool {
     name.ends_with("-piston")
 }
 
-/// A readable basis of the null space with the orthonormal columns `space`: global piston first if it is in the space, then
-/// directions of few modes each, by elimination. The eigenvectors themselves would mix all of them.
+/// A readable basis of the null space with the orthonormal columns `space`: global piston first if
+/// it is in the space, then directions of few modes each, by elimination. The eigenvectors
+/// themselves would mix all of them.
 fn null_directions(space: &Array2<f64>, to_coefficients: &Array1<f64>, names: &[String]) -> Vec<Array1<f64>> {
     let mut rows: Vec<Array1<f64>> = space.columns().into_iter().map(|column| column.to_owned()).collect();
     let mut named = Vec::new();
     if let Some(global) = global_piston(to_coefficients, names) {
         let inside: f64 = rows.iter().map(|row| row.dot(&global).powi(2)).sum();
-        // Null vectors are known to about NULL_BELOW² over the gap to the next eigenvalue: far better than 1e-6.
+        // Null vectors are known to about NULL_BELOW² over the gap to the next eigenvalue: far
+        // better than 1e-6.
         if inside > 1.0 - 1e-6 {
             for row in &mut rows {
                 let share = row.dot(&global);
@@ -136,7 +141,8 @@ fn null_directions(space: &Array2<f64>, to_coefficients: &Array1<f64>, names: &[
     named.into_iter().chain(sparse).map(unit).collect()
 }
 
-/// All segment pistons with the same coefficient, as a unit vector of the scaled modes; none with fewer than two.
+/// All segment pistons with the same coefficient, as a unit vector of the scaled modes; none with
+/// fewer than two.
 fn global_piston(to_coefficients: &Array1<f64>, names: &[String]) -> Option<Array1<f64>> {
     let pistons = names.iter().filter(|name| is_piston(name)).count();
     let entry = |(mode, name): (usize, &String)| if is_piston(name) { 1.0 / to_coefficients[mode] } else { 0.0 };
@@ -215,8 +221,8 @@ mod tests {
 
     #[test]
     fn global_piston_is_named_next_to_other_null_directions() {
-        // Three segments of unequal area, means removed: G = diag(a) − a·aᵀ. Two further modes that are identical up to
-        // a factor, and one without signal.
+        // Three segments of unequal area, means removed: G = diag(a) − a·aᵀ. Two further modes that
+        // are identical up to a factor, and one without signal.
         let areas = [0.2, 0.3, 0.5];
         let mut gram = Array2::zeros((6, 6));
         for i in 0..3 {

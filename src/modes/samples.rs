@@ -20,8 +20,8 @@ impl Samples {
     /// The samples of `pupil` with a positive amplitude.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the amplitude does not fit the grid; [`Error::Value`] for an amplitude that is negative
-    /// or not finite, or a pupil without illuminated samples.
+    /// [`Error::Shape`] where the amplitude does not fit the grid; [`Error::Value`] for an
+    /// amplitude that is negative or not finite, or a pupil without illuminated samples.
     pub fn from_pupil(pupil: &Pupil) -> Result<Self> {
         let n = pupil.grid.samples();
         if pupil.amplitude.dim() != (n, n) {

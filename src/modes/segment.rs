@@ -1,4 +1,5 @@
-//! Segment modes: their names, and their maps for the model in which each sample belongs to one segment.
+//! Segment modes: their names, and their maps for the model in which each sample belongs to one
+//! segment.
 
 use super::basis::{Basis, Group, SparseMap};
 use crate::pupil::Pupil;
@@ -9,7 +10,8 @@ use crate::{Error, Result};
 pub enum SegmentModes {
     /// Piston: 1 on the segment, 0 elsewhere.
     Piston,
-    /// Piston, then tip (along x) and tilt (along y) about the segment's centroid (weight A), unit RMS over the segment.
+    /// Piston, then tip (along x) and tilt (along y) about the segment's centroid (weight A), unit
+    /// RMS over the segment.
     PistonTipTilt,
 }
 
@@ -25,8 +27,8 @@ impl SegmentModes {
         }
     }
 
-    /// Names of the modes: all the pistons (`segment-00-piston`, `segment-01-piston` …), then all the tips, then all
-    /// the tilts.
+    /// Names of the modes: all the pistons (`segment-00-piston`, `segment-01-piston` …), then all
+    /// the tips, then all the tilts.
     pub fn names(self, segments: usize) -> Vec<String> {
         // Zero-padded, so that alphabetic order is numeric order.
         let width = segments.saturating_sub(1).to_string().len().max(2);
@@ -35,11 +37,13 @@ impl SegmentModes {
         motions.iter().flat_map(name).collect()
     }
 
-    /// The modes as maps on the grid of the pupil, from its owner map, in the order of [`names`](Self::names).
+    /// The modes as maps on the grid of the pupil, from its owner map, in the order of
+    /// [`names`](Self::names).
     ///
     /// # Errors
-    /// [`Error::Shape`] where the pupil's arrays do not fit its grid; [`Error::Value`] for an owner that is not a
-    /// segment, a pupil without segments, or a segment with too few samples for its mode.
+    /// [`Error::Shape`] where the pupil's arrays do not fit its grid; [`Error::Value`] for an owner
+    /// that is not a segment, a pupil without segments, or a segment with too few samples for its
+    /// mode.
     pub fn maps(self, pupil: &Pupil) -> Result<Basis> {
         let (n, segments) = (pupil.grid.samples(), pupil.segments.len());
         for shape in [pupil.amplitude.dim(), pupil.owner.dim()] {

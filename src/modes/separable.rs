@@ -1,5 +1,6 @@
-//! Smooth modes on a square grid as sums of products of a function of y and a function of x. Their sum then takes n·K·n
-//! operations and two small tables; as maps, every value of every mode is read from memory each time.
+//! Smooth modes on a square grid as sums of products of a function of y and a function of x. Their
+//! sum then takes n·K·n operations and two small tables; as maps, every value of every mode is read
+//! from memory each time.
 
 use super::smooth::{Functions, SmoothBasis};
 use super::zernike::{Zernikes, noll_orders};
@@ -8,8 +9,9 @@ use crate::grid::Grid;
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 use std::f64::consts::PI;
 
-/// `mode_i(x, y) = Σ_g Σ_ab matrix_{i,g,a,b} · f_{g,a}(y) · f_{g,b}(x)`: Gaussian influence functions are such products, and
-/// a polynomial of degree d is an exact sum of products of Chebyshev polynomials with (d + 1)² coefficients.
+/// `mode_i(x, y) = Σ_g Σ_ab matrix_{i,g,a,b} · f_{g,a}(y) · f_{g,b}(x)`: Gaussian influence
+/// functions are such products, and a polynomial of degree d is an exact sum of products of
+/// Chebyshev polynomials with (d + 1)² coefficients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeparableBasis {
     /// The functions at the coordinates of the grid, `[function, sample]`, group by group.
@@ -24,8 +26,8 @@ impl SeparableBasis {
     /// The modes of `basis` on `grid`.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] for modes of measured influence functions or petals, which are no such products
-    /// ([`SmoothBasis::is_separable`]).
+    /// [`crate::Error::Value`] for modes of measured influence functions or petals, which are no
+    /// such products ([`SmoothBasis::is_separable`]).
     pub fn new(basis: &SmoothBasis, grid: Grid) -> Result<Self> {
         let refusal = || {
             let sentence = "measured influence functions and petals are no products of functions of x and of y: maps of them are needed";
@@ -88,8 +90,9 @@ impl SeparableBasis {
     }
 }
 
-/// Chebyshev polynomials over ±`half_m` at `coordinates_m`, `[polynomial, point]`, and the coefficients of the Zernike
-/// polynomials in their products, `[zernike, K²]`: interpolation at K² nodes, which is exact for degrees below K.
+/// Chebyshev polynomials over ±`half_m` at `coordinates_m`, `[polynomial, point]`, and the
+/// coefficients of the Zernike polynomials in their products, `[zernike, K²]`: interpolation at K²
+/// nodes, which is exact for degrees below K.
 fn chebyshev(zernikes: &Zernikes, coordinates_m: &[f64], half_m: f64) -> Result<(Array2<f64>, Array2<f64>)> {
     let orders = zernikes.nolls().iter().map(|&noll| Ok(noll_orders(noll)?.0)).collect::<Result<Vec<usize>>>()?;
     let k = orders.into_iter().max().unwrap_or(0) + 1;
@@ -124,7 +127,8 @@ mod tests {
     use super::*;
     use crate::modes::Mirror;
 
-    /// Largest difference between the modes of `basis` as functions and as sums of products, on a grid.
+    /// Largest difference between the modes of `basis` as functions and as sums of products, on a
+    /// grid.
     fn difference(basis: &SmoothBasis, grid: Grid) -> f64 {
         let separable = SeparableBasis::new(basis, grid).unwrap();
         let n = grid.samples();
@@ -157,7 +161,8 @@ mod tests {
         let mean = ndarray::Array1::from_shape_fn(mixed.len(), |j| (j as f64).cos());
         let names = (0..9).map(|i| format!("mode-{i}")).collect();
         let combined = mixed.combined(names, &combination, &mean);
-        // Order 10 reaches 300 in the corners of the grid, beyond the disc; a few hundred roundings of 1e-16 of that.
+        // Order 10 reaches 300 in the corners of the grid, beyond the disc; a few hundred roundings
+        // of 1e-16 of that.
         for (basis, bound) in [(&zernikes, 1e-10), (&mirror, 1e-14), (&combined, 1e-9)] {
             let worst = difference(basis, grid);
             assert!(worst < bound, "{worst:e}");

@@ -1,6 +1,6 @@
-//! Bases of smooth modes, given as functions: they can be evaluated at any point, at the samples of the pupil, outside its
-//! edge (as the band-limited model needs) or on a finer grid. Petals, which have steps behind the arms of the spider, are such functions,
-//! too.
+//! Bases of smooth modes, given as functions: they can be evaluated at any point, at the samples of
+//! the pupil, outside its edge (as the band-limited model needs) or on a finer grid. Petals, which
+//! have steps behind the arms of the spider, are such functions, too.
 
 use super::basis::{Basis, Group};
 use super::influence::InfluenceFunctions;
@@ -13,8 +13,8 @@ use ndarray::linalg::general_mat_mul;
 use ndarray::parallel::prelude::*;
 use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, s};
 
-/// Points evaluated at a time: the values of 400 raw functions stay in the second-level cache (1.6 MB), and a grid of a
-/// million points needs no memory beyond its result.
+/// Points evaluated at a time: the values of 400 raw functions stay in the second-level cache (1.6
+/// MB), and a grid of a million points needs no memory beyond its result.
 const BLOCK: usize = 512;
 
 /// Raw functions from which modes are combined.
@@ -55,7 +55,8 @@ impl SmoothBasis {
         Self::raw(names, Functions::Zernike(zernikes))
     }
 
-    /// The influence functions themselves, named `actuator-17` and so on by the index `row·across + column`.
+    /// The influence functions themselves, named `actuator-17` and so on by the index
+    /// `row·across + column`.
     pub fn influence(influence: InfluenceFunctions) -> Self {
         let names = influence.indices().iter().map(|index| format!("actuator-{index}")).collect();
         Self::raw(names, Functions::Influence(influence))
@@ -142,7 +143,8 @@ impl SmoothBasis {
         values
     }
 
-    /// Mean of each mode over the samples, and the mean products of all pairs of modes, `[modes, modes]`.
+    /// Mean of each mode over the samples, and the mean products of all pairs of modes,
+    /// `[modes, modes]`.
     pub(super) fn moments(&self, samples: &Samples) -> (Array1<f64>, Array2<f64>) {
         let modes = self.len();
         // A fixed number of parts, added in order: the sums do not depend on the number of threads.

@@ -11,7 +11,8 @@ const GAMMA_5_6: f64 = 1.128_787_029_908_126;
 const GAMMA_11_6: f64 = 5.0 / 6.0 * GAMMA_5_6;
 const GAMMA_6_5: f64 = 0.918_168_742_399_760_6;
 
-/// Von Kármán turbulence. All results are in nm² of OPD and therefore independent of the wavelength.
+/// Von Kármán turbulence. All results are in nm² of OPD and therefore independent of the
+/// wavelength.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VonKarman {
     r0_m: f64,
@@ -19,7 +20,8 @@ pub struct VonKarman {
 }
 
 impl VonKarman {
-    /// Turbulence of Fried parameter `r0_m` at 500 nm and outer scale `outer_scale_m`, which may be infinite.
+    /// Turbulence of Fried parameter `r0_m` at 500 nm and outer scale `outer_scale_m`, which may be
+    /// infinite.
     ///
     /// # Errors
     /// [`Error::Value`] where either is not positive, or `r0_m` is not finite.
@@ -48,13 +50,15 @@ impl VonKarman {
     ///
     /// 0.0863 (L0/r0)^(5/3) rad², here by its exact constants.
     pub fn variance_nm2(&self) -> f64 {
-        // The structure function 2·B(0)·g(x) with g → Γ(1/6)/Γ(11/6)·(x/2)^(5/3) must meet Kolmogorov's at small r.
+        // The structure function 2·B(0)·g(x) with g → Γ(1/6)/Γ(11/6)·(x/2)^(5/3) must meet
+        // Kolmogorov's at small r.
         let at_outer_scale = kolmogorov(self.outer_scale_m / (PI * self.r0_m));
         nm2(at_outer_scale * GAMMA_11_6 / (2.0 * GAMMA_1_6))
     }
 
-    /// Covariance of the wavefront at two points `r_m` apart, nm²: B(r) = B(0)·2^(1/6)/Γ(5/6)·x^(5/6)·K_{5/6}(x),
-    /// x = 2πr/L0 (e.g. Conan 2008, J. Opt. Soc. Am. A 25, 526). Infinite without an outer scale.
+    /// Covariance of the wavefront at two points `r_m` apart, nm²: B(r) =
+    /// B(0)·2^(1/6)/Γ(5/6)·x^(5/6)·K_{5/6}(x), x = 2πr/L0 (e.g. Conan 2008, J. Opt. Soc. Am. A 25,
+    /// 526). Infinite without an outer scale.
     pub fn covariance_nm2(&self, r_m: f64) -> f64 {
         if self.outer_scale_m.is_infinite() {
             return f64::INFINITY;
@@ -62,8 +66,8 @@ impl VonKarman {
         self.variance_nm2() * correlation(2.0 * PI * r_m.abs() / self.outer_scale_m)
     }
 
-    /// Structure function at the separation `r_m`, nm²: 2·(B(0) − B(r)), without the cancellation at small r; Kolmogorov's
-    /// 6.88 (r/r0)^(5/3) rad² without an outer scale.
+    /// Structure function at the separation `r_m`, nm²: 2·(B(0) − B(r)), without the cancellation
+    /// at small r; Kolmogorov's 6.88 (r/r0)^(5/3) rad² without an outer scale.
     pub fn structure_nm2(&self, r_m: f64) -> f64 {
         if self.outer_scale_m.is_infinite() {
             return nm2(kolmogorov(r_m.abs() / self.r0_m));
@@ -71,7 +75,8 @@ impl VonKarman {
         2.0 * self.variance_nm2() * decorrelation(2.0 * PI * r_m.abs() / self.outer_scale_m)
     }
 
-    /// Power spectral density at the spatial frequency `f_per_m`, nm²·m²: 0.0229 r0^(−5/3) (f² + 1/L0²)^(−11/6) rad²·m².
+    /// Power spectral density at the spatial frequency `f_per_m`, nm²·m²: 0.0229 r0^(−5/3) (f² +
+    /// 1/L0²)^(−11/6) rad²·m².
     pub fn psd_nm2_m2(&self, f_per_m: f64) -> f64 {
         let constant = GAMMA_11_6.powi(2) / (4.0 * PI.powf(11.0 / 3.0)) * kolmogorov(1.0);
         let f2 = f_per_m.powi(2) + self.outer_scale_m.powi(-2);
@@ -89,8 +94,8 @@ fn kolmogorov(r_over_r0: f64) -> f64 {
     2.0 * (24.0 / 5.0 * GAMMA_6_5).powf(5.0 / 6.0) * r_over_r0.powf(5.0 / 3.0)
 }
 
-/// Argument below which the series of ten terms is used, which is exact within rounding there (its terms decrease as
-/// (x/2)^2k/k!²); above, the integral, which has no cancellation.
+/// Argument below which the series of ten terms is used, which is exact within rounding there (its
+/// terms decrease as (x/2)^2k/k!²); above, the integral, which has no cancellation.
 const SERIES_TO: f64 = 1.0;
 
 /// B(r)/B(0) at x = 2πr/L0.
@@ -103,7 +108,8 @@ fn decorrelation(x: f64) -> f64 {
     if x < SERIES_TO { decorrelation_series(x) } else { 1.0 - correlation_integral(x) }
 }
 
-/// From K_ν = π/(2 sin νπ)·(I_{−ν} − I_ν): the leading 1 is cancelled analytically. Abramowitz & Stegun 9.6.2, 9.6.10.
+/// From K_ν = π/(2 sin νπ)·(I_{−ν} − I_ν): the leading 1 is cancelled analytically. Abramowitz &
+/// Stegun 9.6.2, 9.6.10.
 fn decorrelation_series(x: f64) -> f64 {
     let nu = 5.0 / 6.0;
     let q = (x / 2.0).powi(2);
@@ -126,8 +132,8 @@ fn correlation_integral(x: f64) -> f64 {
 
 /// K_ν(x) = ∫₀^∞ exp(−x cosh t) cosh νt dt (Abramowitz & Stegun 9.6.24) by the trapezoidal rule.
 ///
-/// The integrand is even and analytic for |Im t| < π/2, so the error is about exp(−π²/step): 1e-21 at 0.2. At the last
-/// point it has decreased by e^(−40).
+/// The integrand is even and analytic for |Im t| < π/2, so the error is about exp(−π²/step): 1e-21
+/// at 0.2. At the last point it has decreased by e^(−40).
 fn bessel_k(nu: f64, x: f64) -> f64 {
     let step = 0.2;
     let points = ((1.0 + 40.0 / x).acosh() / step).ceil() as usize + 1;
@@ -159,7 +165,8 @@ mod tests {
     #[test]
     fn the_series_and_the_integral_agree_where_they_meet() {
         for x in [0.2, 0.5, 1.0, 1.5] {
-            // 1 − integral loses what the correlation is close to 1: 1e-15 absolute, plus the series' rounding.
+            // 1 − integral loses what the correlation is close to 1: 1e-15 absolute, plus the
+            // series' rounding.
             let difference = decorrelation_series(x) - (1.0 - correlation_integral(x));
             assert!(difference.abs() < 5e-15, "x = {x}: {difference:.1e}");
         }
@@ -170,7 +177,8 @@ mod tests {
         let turbulence = VonKarman::new(0.16, 50.0).unwrap();
         let kolmogorov = VonKarman::new(0.16, f64::INFINITY).unwrap();
         for r_m in [1e-4, 1e-3] {
-            // The next term is of order Γ(1/6)·x^(1/3): the ratio differs from 1 by about 1.5·(2πr/L0)^(1/3).
+            // The next term is of order Γ(1/6)·x^(1/3): the ratio differs from 1 by about
+            // 1.5·(2πr/L0)^(1/3).
             let expected = 6.88 * (r_m / 0.16f64).powf(5.0 / 3.0) * (500.0 / (2.0 * PI)).powi(2);
             assert!((kolmogorov.structure_nm2(r_m) / expected - 1.0).abs() < 1e-3);
             let departure = 1.0 - turbulence.structure_nm2(r_m) / kolmogorov.structure_nm2(r_m);
@@ -185,8 +193,8 @@ mod tests {
     #[test]
     fn spectrum_integral_is_the_variance_and_transform_covariance() {
         let turbulence = VonKarman::new(0.16, 50.0).unwrap();
-        // ∫ 2πf W(f) df with f = e^u/L0: smooth and decaying on both sides, so the trapezoidal rule converges fast. The
-        // cut at u = 25 leaves (e^−25)^(5/3).
+        // ∫ 2πf W(f) df with f = e^u/L0: smooth and decaying on both sides, so the trapezoidal rule
+        // converges fast. The cut at u = 25 leaves (e^−25)^(5/3).
         let step = 0.05;
         let integral: f64 = (-600..=500)
             .map(|i| {

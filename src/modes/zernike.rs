@@ -1,14 +1,16 @@
-//! Zernike polynomials in Noll's order, as polynomials in x and y, which are defined also outside the disc.
+//! Zernike polynomials in Noll's order, as polynomials in x and y, which are defined also outside
+//! the disc.
 
 use super::samples::check_lengths;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayViewMut2};
 
-/// The largest Noll index accepted: 60 complete radial orders, far more than a pupil of 120 samples resolves.
+/// The largest Noll index accepted: 60 complete radial orders, far more than a pupil of 120 samples
+/// resolves.
 pub const LARGEST_NOLL: usize = 1891;
 
-/// Radial order n and signed azimuthal order m of the Zernike polynomial with Noll index `noll` (from 1): m > 0 for the
-/// cosine (even indices), m < 0 for the sine (odd indices).
+/// Radial order n and signed azimuthal order m of the Zernike polynomial with Noll index `noll`
+/// (from 1): m > 0 for the cosine (even indices), m < 0 for the sine (odd indices).
 ///
 /// Noll (1976), "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66, 207.
 ///
@@ -52,10 +54,12 @@ struct Term {
 }
 
 impl Zernikes {
-    /// The polynomials of the Noll indices `nolls` (from 1, any order) over a disc of radius `radius_m`.
+    /// The polynomials of the Noll indices `nolls` (from 1, any order) over a disc of radius
+    /// `radius_m`.
     ///
     /// # Errors
-    /// [`Error::Value`] for an index outside 1..=`LARGEST_NOLL` or a radius that is not positive and finite.
+    /// [`Error::Value`] for an index outside 1..=`LARGEST_NOLL` or a radius that is not positive
+    /// and finite.
     pub fn new(nolls: impl IntoIterator<Item = usize>, radius_m: f64) -> Result<Self> {
         if !(radius_m.is_finite() && radius_m > 0.0) {
             return Err(Error::Value(format!("a Zernike radius of {radius_m} m is impossible: it must be positive")));
@@ -96,9 +100,9 @@ impl Zernikes {
 
     /// Writes the values into `values`, `[polynomials, points]`.
     ///
-    /// Z = norm · P(2r²−1) · Re or Im (x + iy)^m, with P the Jacobi polynomial of weights (0, m): the three-term
-    /// recurrence is accurate where the sum over explicit coefficients loses all digits (order 30 and higher); no angle is
-    /// needed, and the centre is not a special case.
+    /// Z = norm · P(2r²−1) · Re or Im (x + iy)^m, with P the Jacobi polynomial of weights (0, m):
+    /// the three-term recurrence is accurate where the sum over explicit coefficients loses all
+    /// digits (order 30 and higher); no angle is needed, and the centre is not a special case.
     pub(super) fn fill(&self, xs_m: &[f64], ys_m: &[f64], mut values: ArrayViewMut2<f64>) {
         for point in 0..xs_m.len() {
             let (x, y) = (xs_m[point] / self.radius_m, ys_m[point] / self.radius_m);
@@ -123,7 +127,8 @@ impl Zernikes {
     }
 }
 
-/// P_k of the Jacobi polynomials with weights (0, m) at `t`, from P_{k−1} and P_{k−2} (Abramowitz & Stegun 22.7.1).
+/// P_k of the Jacobi polynomials with weights (0, m) at `t`, from P_{k−1} and P_{k−2} (Abramowitz &
+/// Stegun 22.7.1).
 fn next_jacobi(k: usize, m: usize, t: f64, previous: f64, before: f64) -> f64 {
     let (k, m) = (k as f64, m as f64);
     if k == 1.0 {
@@ -194,8 +199,9 @@ mod tests {
 
     #[test]
     fn high_orders_keep_their_value_on_the_rim() {
-        // R(1) = 1, so Z(1, 0) is the norm for every cosine of any order: explicit coefficients of order 30
-        // alternate at 1e10 and keep six digits, the recurrence keeps all but the few of its 15 to 30 steps.
+        // R(1) = 1, so Z(1, 0) is the norm for every cosine of any order: explicit coefficients of
+        // order 30 alternate at 1e10 and keep six digits, the recurrence keeps all but the few of
+        // its 15 to 30 steps.
         for noll in (2..=LARGEST_NOLL).step_by(2) {
             let (n, m) = noll_orders(noll).unwrap();
             let norm = ((n + 1) as f64 * if m == 0 { 1.0 } else { 2.0 }).sqrt();
@@ -205,8 +211,9 @@ mod tests {
 
     #[test]
     fn the_first_500_are_orthonormal_over_the_disc() {
-        // Exact integration: products of two polynomials of order ≤ 30 have angular frequency ≤ 60 < 64 and degree ≤ 30
-        // in r² (odd powers occur only in pairs), and 32 Gauss-Legendre nodes in r² are exact to degree 63.
+        // Exact integration: products of two polynomials of order ≤ 30 have angular frequency ≤ 60
+        // < 64 and degree ≤ 30 in r² (odd powers occur only in pairs), and 32 Gauss-Legendre nodes
+        // in r² are exact to degree 63.
         let (nodes, weights) = gauss_legendre(32);
         let (mut xs, mut ys, mut ws) = (vec![], vec![], vec![]);
         for (node, weight) in nodes.iter().zip(&weights) {
@@ -221,7 +228,8 @@ mod tests {
         let z = Zernikes::new(1..=496, 1.0).unwrap().evaluate(&xs, &ys).unwrap();
         let gram = (&z * &ndarray::Array1::from(ws)).dot(&z.t());
         let error = (&gram - &Array2::<f64>::eye(496)).iter().fold(0f64, |worst, e| worst.max(e.abs()));
-        // 2,048 terms of size up to 60, unit sum: rounding of 1e-13 and the nodes' own 1e-15 times the slope n² ≈ 1e3.
+        // 2,048 terms of size up to 60, unit sum: rounding of 1e-13 and the nodes' own 1e-15 times
+        // the slope n² ≈ 1e3.
         assert!(error < 1e-11, "worst Gram error {error:.1e}");
     }
 

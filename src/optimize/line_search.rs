@@ -1,17 +1,20 @@
-//! Line search: chooses the step length α that decreases φ(α) = f(x + α·p) sufficiently, one evaluated point at a time.
+//! Line search: chooses the step length α that decreases φ(α) = f(x + α·p) sufficiently, one
+//! evaluated point at a time.
 //!
-//! The unit step first; Armijo's sufficient decrease; safeguarded cubic interpolation for steps back; and extrapolation where
-//! the slope still violates the weak Wolfe condition (Nocedal & Wright, *Numerical Optimization*,
-//! chapter 3). Below the resolution of φ the slope replaces the value: the approximate Wolfe conditions of
-//! Hager & Zhang (SIAM J. Optim. 16, 2005, eq. 4.1).
+//! The unit step first; Armijo's sufficient decrease; safeguarded cubic interpolation for steps
+//! back; and extrapolation where the slope still violates the weak Wolfe condition (Nocedal &
+//! Wright, *Numerical Optimization*, chapter 3). Below the resolution of φ the slope replaces the
+//! value: the approximate Wolfe conditions of Hager & Zhang (SIAM J. Optim. 16, 2005, eq. 4.1).
 
 /// Armijo: φ(α) ≤ φ(0) + c·α·φ'(0). The usual value, which accepts nearly any decrease.
 const SUFFICIENT_DECREASE: f64 = 1e-4;
-/// Wolfe: φ'(α) ≥ c·φ'(0). The usual value for quasi-Newton directions, whose unit step is nearly always good.
+/// Wolfe: φ'(α) ≥ c·φ'(0). The usual value for quasi-Newton directions, whose unit step is nearly
+/// always good.
 const CURVATURE: f64 = 0.9;
 /// Approximate Wolfe: φ'(α) ≤ (2δ − 1)·φ'(0) with Hager & Zhang's δ = 0.1.
 const LARGEST_RISE: f64 = 0.8;
-/// Smallest and largest factor of a step back: safeguard of the interpolation, which rests on two points.
+/// Smallest and largest factor of a step back: safeguard of the interpolation, which rests on two
+/// points.
 const BACKTRACK: (f64, f64) = (0.1, 0.5);
 /// Smallest and largest factor of a step forward.
 const EXTEND: (f64, f64) = (1.5, 5.0);
@@ -41,9 +44,11 @@ pub(super) enum LineSearchDecision {
     Try(f64),
     /// Keep the point, which is acceptable, and evaluate at this longer step length.
     KeepAndTry(f64),
-    /// The decrease is below the resolution, and the slope shows descent: accept the point, and stop.
+    /// The decrease is below the resolution, and the slope shows descent: accept the point, and
+    /// stop.
     AcceptUnresolved,
-    /// The decrease is below the resolution, and the slope does not show descent: stop at the origin.
+    /// The decrease is below the resolution, and the slope does not show descent: stop at the
+    /// origin.
     Unresolved,
     /// No finite value near the origin.
     NotFinite,
@@ -68,8 +73,9 @@ pub(super) struct LineSearch {
 }
 
 impl LineSearch {
-    /// A search from φ(0) = `value`, φ'(0) = `slope` < 0 with the first step `first` and the longest step
-    /// `longest`. `noise` is the smallest significant difference of φ; `unresolved`: the predicted decrease is below it.
+    /// A search from φ(0) = `value`, φ'(0) = `slope` < 0 with the first step `first` and the
+    /// longest step `longest`. `noise` is the smallest significant difference of φ; `unresolved`:
+    /// the predicted decrease is below it.
     pub fn new(value: f64, slope: f64, first: f64, longest: f64, noise: f64, unresolved: bool) -> Self {
         LineSearch {
             origin: Sample { alpha: 0.0, value, slope },
@@ -129,7 +135,8 @@ impl LineSearch {
             && here.slope <= LARGEST_RISE * steepness
     }
 
-    /// A point with sufficient decrease: accept it, unless φ still falls nearly as steeply as at the origin.
+    /// A point with sufficient decrease: accept it, unless φ still falls nearly as steeply as at
+    /// the origin.
     fn lower(&mut self, here: Sample) -> LineSearchDecision {
         // An extension below the smallest factor is not worth an evaluation.
         let can_extend = self.longest >= EXTEND.0 * here.alpha;
@@ -141,7 +148,8 @@ impl LineSearch {
             return LineSearchDecision::Accept;
         }
         let before = self.kept.unwrap_or(self.origin);
-        // The zero of the linearly extrapolated slope; the longest extension where the slope does not increase.
+        // The zero of the linearly extrapolated slope; the longest extension where the slope does
+        // not increase.
         let change = here.slope - before.slope;
         let ahead = if change > 0.0 { -here.slope * (here.alpha - before.alpha) / change } else { f64::INFINITY };
         let alpha = (here.alpha + ahead).clamp(EXTEND.0 * here.alpha, EXTEND.1 * here.alpha).min(self.longest);
@@ -151,7 +159,8 @@ impl LineSearch {
         LineSearchDecision::KeepAndTry(alpha)
     }
 
-    /// A point without sufficient decrease: step back, unless the possible decrease is below the noise.
+    /// A point without sufficient decrease: step back, unless the possible decrease is below the
+    /// noise.
     fn back(&mut self, here: Sample) -> LineSearchDecision {
         let alpha = self.interpolate(here);
         if -0.5 * alpha * self.origin.slope < self.noise {
@@ -175,7 +184,8 @@ impl LineSearch {
         LineSearchDecision::Try(self.alpha)
     }
 
-    /// The minimum of the cubic through both values and slopes (Nocedal & Wright, eq. 3.59), safeguarded.
+    /// The minimum of the cubic through both values and slopes (Nocedal & Wright, eq. 3.59),
+    /// safeguarded.
     fn interpolate(&self, here: Sample) -> f64 {
         let Sample { value: f0, slope: d0, .. } = self.origin;
         let d1 = d0 + here.slope - 3.0 * (here.value - f0) / here.alpha;
@@ -201,7 +211,8 @@ mod tests {
 
     #[test]
     fn the_minimum_of_a_cubic_is_found_in_one_step_back() {
-        // φ = 1 − α + 2α² + α³ has its minimum where 3α² + 4α − 1 = 0, at 0.2153; φ(1) = 3, φ'(1) = 6.
+        // φ = 1 − α + 2α² + α³ has its minimum where 3α² + 4α − 1 = 0, at 0.2153; φ(1) = 3, φ'(1) =
+        // 6.
         let mut search = search(0.0, false);
         let LineSearchDecision::Try(alpha) = search.advance(3.0, 6.0) else { panic!("an increase must be rejected") };
         let root = (-4.0 + 28.0_f64.sqrt()) / 6.0;

@@ -1,4 +1,5 @@
-//! Whitened coordinates of a least-squares problem, in which its Hessian is a multiple of the identity.
+//! Whitened coordinates of a least-squares problem, in which its Hessian is a multiple of the
+//! identity.
 
 use super::pairs::{add_scaled, dot};
 use crate::{Error, Result};
@@ -6,15 +7,17 @@ use cophase_numerics::decompositions::{SymmetricEigen, symmetric_eigen, unit_sca
 use ndarray::{Array2, ArrayView2};
 use pulp::{Arch, NullaryFnOnce};
 
-/// Largest accepted asymmetry of a Gauss-Newton matrix relative to its largest entry. Accumulating Jᵀ W J in f32 leaves
-/// about 1e-7 per product and at most 1e-4 over a million pixels; more is a mistake in the matrix.
+/// Largest accepted asymmetry of a Gauss-Newton matrix relative to its largest entry. Accumulating
+/// Jᵀ W J in f32 leaves about 1e-7 per product and at most 1e-4 over a million pixels; more is a
+/// mistake in the matrix.
 const ASYMMETRY: f64 = 1e-4;
 
-/// Whitening from a Gauss-Newton matrix H = Jᵀ W J = V Λ Vᵀ: a displacement in the caller's coordinates is
-/// δx = V Λ^(−1/2) z, so that J = Σ w r² has the Hessian 2·I in z wherever the linearisation holds.
+/// Whitening from a Gauss-Newton matrix H = Jᵀ W J = V Λ Vᵀ: a displacement in the caller's
+/// coordinates is δx = V Λ^(−1/2) z, so that J = Σ w r² has the Hessian 2·I in z wherever the
+/// linearisation holds.
 ///
-/// Directions whose eigenvalue is zero within rounding are **null**: they have no coordinate in z, so an optimiser that
-/// works in z never moves along them.
+/// Directions whose eigenvalue is zero within rounding are **null**: they have no coordinate in z,
+/// so an optimiser that works in z never moves along them.
 #[derive(Debug, Clone)]
 pub struct Metric {
     dimension: usize,
@@ -30,18 +33,21 @@ impl Metric {
         Metric { dimension, whitening: None, whitened: false }
     }
 
-    /// The caller's own coordinates, which the caller has whitened: the Hessian is about 2·I in them.
+    /// The caller's own coordinates, which the caller has whitened: the Hessian is about 2·I in
+    /// them.
     pub fn whitened(dimension: usize) -> Self {
         Metric { whitened: true, ..Self::identity(dimension) }
     }
 
-    /// Whitening from `gauss_newton` = Jᵀ W J, `[n, n]`, symmetric and positive semi-definite (the lower triangle is
-    /// read). Directions with an eigenvalue below `relative_floor` times the largest are null: 1e-12 suits a matrix
-    /// accumulated in f64, 1e-6 one accumulated in f32, where rounding fills the null space to about 1e-7.
+    /// Whitening from `gauss_newton` = Jᵀ W J, `[n, n]`, symmetric and positive semi-definite (the
+    /// lower triangle is read). Directions with an eigenvalue below `relative_floor` times the
+    /// largest are null: 1e-12 suits a matrix accumulated in f64, 1e-6 one accumulated in f32,
+    /// where rounding fills the null space to about 1e-7.
     ///
     /// # Errors
-    /// [`Error::Shape`] if the matrix is not square or is empty; [`Error::Value`] if an entry is not finite, if it is
-    /// not symmetric, has a negative eigenvalue beyond the floor, or is zero, or if the floor is not in (0, 1).
+    /// [`Error::Shape`] if the matrix is not square or is empty; [`Error::Value`] if an entry is
+    /// not finite, if it is not symmetric, has a negative eigenvalue beyond the floor, or is zero,
+    /// or if the floor is not in (0, 1).
     pub fn from_gauss_newton(gauss_newton: &Array2<f64>, relative_floor: f64) -> Result<Self> {
         let n = check(gauss_newton, relative_floor)?;
         // In ascending order.
@@ -91,8 +97,8 @@ impl Metric {
         self.whitening.as_ref().map_or(self.dimension, |w| w.ncols())
     }
 
-    /// `V Λ^(−1/2)`, `[dimension, rank]`, whose product with its transpose is the pseudo-inverse of the matrix;
-    /// `None` is the identity.
+    /// `V Λ^(−1/2)`, `[dimension, rank]`, whose product with its transpose is the pseudo-inverse of
+    /// the matrix; `None` is the identity.
     pub fn whitening(&self) -> Option<ArrayView2<'_, f64>> {
         self.whitening.as_ref().map(|whitening| whitening.view())
     }
@@ -102,7 +108,8 @@ impl Metric {
         self.whitened
     }
 
-    /// `x = V Λ^(−1/2) z`: a displacement `z` of length [`rank`](Self::rank) in the caller's coordinates.
+    /// `x = V Λ^(−1/2) z`: a displacement `z` of length [`rank`](Self::rank) in the caller's
+    /// coordinates.
     pub fn to_x(&self, z: &[f64], x: &mut [f64]) {
         match self.whitening.as_ref().map(|whitening| (whitening.as_slice(), whitening.ncols())) {
             None => x.copy_from_slice(z),
@@ -122,8 +129,8 @@ impl Metric {
     }
 }
 
-/// [`Metric::to_x`] by the rows of the whitening matrix, compiled for the widest vectors that this processor has; the
-/// sums are the same bits at every width.
+/// [`Metric::to_x`] by the rows of the whitening matrix, compiled for the widest vectors that this
+/// processor has; the sums are the same bits at every width.
 struct ToX<'a> {
     rows: &'a [f64],
     rank: usize,
@@ -218,17 +225,20 @@ mod tests {
             metric.gradient_to_z(image.as_slice().unwrap(), &mut z);
             for (j, b) in columns.iter().enumerate() {
                 let expected = f64::from(u8::from(i == j));
-                // Eigenvalues down to 1e-4 of the largest are good to some 1e-15/1e-4; a hundred times that.
+                // Eigenvalues down to 1e-4 of the largest are good to some 1e-15/1e-4; a hundred
+                // times that.
                 assert!((image.dot(b) - expected).abs() < 1e-9, "[{i}, {j}]: {}", image.dot(b));
                 assert!((z[j] - image.dot(b)).abs() < 1e-12, "{} {}", z[j], image.dot(b));
             }
         }
     }
 
-    /// As large as that of several hundred segments, whose derivatives by nm are small: 1e-6 of a unit and less.
+    /// As large as that of several hundred segments, whose derivatives by nm are small: 1e-6 of a
+    /// unit and less.
     #[test]
     fn a_large_matrix_of_small_entries_has_its_weak_directions() {
-        // H = V Λ Vᵀ with the reflection V = 1 − 2 v vᵀ; eigenvalues from 1 to 1e-7 of the largest, and one that is 0.
+        // H = V Λ Vᵀ with the reflection V = 1 − 2 v vᵀ; eigenvalues from 1 to 1e-7 of the largest,
+        // and one that is 0.
         let (n, scale) = (300, 1e-9);
         let v: Vec<f64> = (0..n).map(|i| (1.0 + 3.0 * i as f64).sin()).collect();
         let square = v.iter().map(|v| v * v).sum::<f64>();
@@ -239,7 +249,8 @@ mod tests {
         let h = scaled.dot(&reflection);
         let metric = Metric::from_gauss_newton(&((&h + &h.t()) / 2.0), 1e-10).unwrap();
         assert_eq!(metric.rank(), n - 1);
-        // The inverse in each direction: rounding of some n·ε of the largest eigenvalue is 7e-14/1e-7 of the smallest; ten times that.
+        // The inverse in each direction: rounding of some n·ε of the largest eigenvalue is
+        // 7e-14/1e-7 of the smallest; ten times that.
         for k in 1..n {
             let direction: Vec<f64> = reflection.column(k).to_vec();
             let mut z = vec![0.0; n - 1];

@@ -11,7 +11,8 @@ use std::sync::Arc;
 /// Minimises `problem`, which returns the objective and its gradient at a point, from `start`.
 ///
 /// # Errors
-/// Those of [`QuasiNewton::new`], those of `problem`, and [`Error::Shape`](crate::Error::Shape) for a gradient of another length.
+/// Those of [`QuasiNewton::new`], those of `problem`, and [`Error::Shape`](crate::Error::Shape) for
+/// a gradient of another length.
 pub fn minimize(problem: &mut Objective, metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Outcome> {
     let mut optimizer = QuasiNewton::new(metric, start, settings)?;
     loop {

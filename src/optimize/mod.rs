@@ -1,9 +1,11 @@
 //! Minimisation of smooth functions of many variables. This module knows vectors only.
 //!
-//! * [`QuasiNewton`] is the fast method: limited-memory BFGS in coordinates whitened by a Gauss-Newton matrix
-//!   ([`Metric`]), with a reverse communication interface, so that many independent problems can advance in lock-step with
-//!   one device call per step. [`minimize`] runs it on a closure.
-//! * [`ArgminBfgs`] is the reference: full-memory BFGS of the `argmin` crate, in the caller's own coordinates.
+//! * [`QuasiNewton`] is the fast method: limited-memory BFGS in coordinates whitened by a
+//!   Gauss-Newton matrix ([`Metric`]), with a reverse communication interface, so that many
+//!   independent problems can advance in lock-step with one device call per step. [`minimize`] runs
+//!   it on a closure.
+//! * [`ArgminBfgs`] is the reference: full-memory BFGS of the `argmin` crate, in the caller's own
+//!   coordinates.
 //!
 //! Every run ends with a [`StopReason`], a sentence that can be shown to a user.
 

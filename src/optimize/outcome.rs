@@ -13,10 +13,11 @@ pub struct Outcome {
     pub evaluations: usize,
     /// Number of search directions followed.
     pub iterations: usize,
-    /// Largest |component| of the next step of the quasi-Newton model, in the caller's units; NaN without a model of the
-    /// curvature.
+    /// Largest |component| of the next step of the quasi-Newton model, in the caller's units; NaN
+    /// without a model of the curvature.
     pub proposed_step: f64,
-    /// Decrease that the model predicts for that step, −g·d/2, in the units of f; NaN without a model.
+    /// Decrease that the model predicts for that step, −g·d/2, in the units of f; NaN without a
+    /// model.
     pub predicted_decrease: f64,
     /// Why the run stopped.
     pub reason: StopReason,
@@ -59,7 +60,8 @@ pub enum StopReason {
     DecrementBelowTolerance,
     /// The gradient's norm is below the tolerance (only for [`super::ArgminBfgs`]).
     GradientBelowTolerance,
-    /// The last iteration changed the objective by less than the tolerance (only for [`super::ArgminBfgs`]).
+    /// The last iteration changed the objective by less than the tolerance (only for
+    /// [`super::ArgminBfgs`]).
     ChangeBelowTolerance,
     /// The predicted decrease is below the rounding of the objective.
     ResolutionReached,

@@ -1,12 +1,15 @@
-//! Memory of L-BFGS: pairs of steps and gradient changes, and the two-loop product with the inverse Hessian.
+//! Memory of L-BFGS: pairs of steps and gradient changes, and the two-loop product with the inverse
+//! Hessian.
 
 use pulp::{Arch, NullaryFnOnce};
 
-/// Smallest cosine of the angle between step and gradient change of a pair: s·y > this·|s||y|. Below, the pair is rounding or
-/// negative curvature, and would make the inverse Hessian indefinite or huge.
+/// Smallest cosine of the angle between step and gradient change of a pair: s·y > this·|s||y|.
+/// Below, the pair is rounding or negative curvature, and would make the inverse Hessian indefinite
+/// or huge.
 const LEAST_COSINE: f64 = 1e-8;
 
-/// The last `capacity` pairs s = z₁ − z₀, y = g₁ − g₀ in a ring buffer, and the scratch memory of the product.
+/// The last `capacity` pairs s = z₁ − z₀, y = g₁ − g₀ in a ring buffer, and the scratch memory of
+/// the product.
 #[derive(Debug, Clone)]
 pub(super) struct Pairs {
     dimension: usize,
@@ -51,7 +54,8 @@ impl Pairs {
         self.head = 0;
     }
 
-    /// Stores the step `length · direction` and the gradient change `after − before` over it, if their curvature is positive.
+    /// Stores the step `length · direction` and the gradient change `after − before` over it, if
+    /// their curvature is positive.
     pub fn push(&mut self, length: f64, direction: &[f64], before: &[f64], after: &[f64]) {
         if self.capacity == 0 {
             return;
@@ -71,15 +75,16 @@ impl Pairs {
         self.len = (self.len + 1).min(self.capacity);
     }
 
-    /// s·y / y·y of the newest pair: an inverse curvature (Nocedal & Wright, *Numerical Optimization*, eq. 7.20).
+    /// s·y / y·y of the newest pair: an inverse curvature (Nocedal & Wright, *Numerical
+    /// Optimization*, eq. 7.20).
     pub fn newest_inverse_curvature(&self) -> Option<f64> {
         let newest = self.newest_first().next()?;
         let y = &self.changes[self.range(newest)];
         Some(1.0 / (self.rho[newest] * dot(y, y)))
     }
 
-    /// `vector` ← H·`vector`, H the inverse Hessian from the pairs and the initial `inverse_curvature`·I (Nocedal &
-    /// Wright, algorithm 7.4).
+    /// `vector` ← H·`vector`, H the inverse Hessian from the pairs and the initial
+    /// `inverse_curvature`·I (Nocedal & Wright, algorithm 7.4).
     pub fn apply(&mut self, inverse_curvature: f64, vector: &mut [f64]) {
         Arch::new().dispatch(Apply { pairs: self, inverse_curvature, vector });
     }
@@ -98,7 +103,8 @@ impl Pairs {
     }
 }
 
-/// [`Pairs::apply`], compiled for the widest vectors that this processor has; the sums are the same bits at every width.
+/// [`Pairs::apply`], compiled for the widest vectors that this processor has; the sums are the same
+/// bits at every width.
 struct Apply<'a> {
     pairs: &'a mut Pairs,
     inverse_curvature: f64,
@@ -129,7 +135,8 @@ impl NullaryFnOnce for Apply<'_> {
 /// a·b.
 #[inline(always)]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    // Eight partial sums, added in a fixed order: a single sum would be limited by the latency of the addition.
+    // Eight partial sums, added in a fixed order: a single sum would be limited by the latency of
+    // the addition.
     const LANES: usize = 8;
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut lanes = [0.0; LANES];
@@ -156,7 +163,8 @@ pub(super) fn scale_by(vector: &mut [f64], scale: f64) {
 mod tests {
     use super::*;
 
-    /// With n independent pairs of a quadratic, conjugate to one another, H is the inverse Hessian itself.
+    /// With n independent pairs of a quadratic, conjugate to one another, H is the inverse Hessian
+    /// itself.
     #[test]
     fn conjugate_pairs_of_a_quadratic_invert_its_hessian() {
         let hessian = [[4.0, 1.0], [1.0, 3.0]];

@@ -4,8 +4,8 @@ use crate::control::CancelFlag;
 use crate::{Error, Result};
 use std::sync::atomic::Ordering;
 
-/// A function to minimise: returns its value and its gradient at a point. Values that are not finite are allowed; an error
-/// ends the run.
+/// A function to minimise: returns its value and its gradient at a point. Values that are not
+/// finite are allowed; an error ends the run.
 pub type Objective<'a> = dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)> + 'a;
 
 /// Whether there is a flag and it is set.

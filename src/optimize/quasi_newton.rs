@@ -10,7 +10,8 @@ use crate::{Error, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian is 2·I.
+/// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian
+/// is 2·I.
 const WHITENED_INVERSE_CURVATURE: f64 = 0.5;
 
 /// Whether the run continues.
@@ -34,9 +35,10 @@ enum Phase {
     Done,
 }
 
-/// L-BFGS with a reverse communication interface: evaluate the objective and its gradient at [`point`](Self::point) and pass
-/// both to [`advance`](Self::advance), until that returns [`Advance::Done`]. All arithmetic is f64 and depends on this problem
-/// only, so problems in lock-step give bitwise the same results as one by one. Nothing is allocated after construction;
+/// L-BFGS with a reverse communication interface: evaluate the objective and its gradient at
+/// [`point`](Self::point) and pass both to [`advance`](Self::advance), until that returns
+/// [`Advance::Done`]. All arithmetic is f64 and depends on this problem only, so problems in
+/// lock-step give bitwise the same results as one by one. Nothing is allocated after construction;
 /// [`begin`](Self::begin) starts another problem of the same size in the same memory.
 #[derive(Debug, Clone)]
 pub struct QuasiNewton {
@@ -65,8 +67,8 @@ impl QuasiNewton {
     /// An optimiser that starts at `start` and works in the coordinates of `metric`.
     ///
     /// # Errors
-    /// [`Error::Shape`] if `start` does not have the metric's dimension; [`Error::Value`] for a start that is not
-    /// finite or a setting out of range.
+    /// [`Error::Shape`] if `start` does not have the metric's dimension; [`Error::Value`] for a
+    /// start that is not finite or a setting out of range.
     pub fn new(metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Self> {
         settings.check()?;
         check_start(start)?;
@@ -104,8 +106,9 @@ impl QuasiNewton {
         })
     }
 
-    /// Starts another problem, from `start`, in the same memory. Its coordinates are those of `metric` with every length
-    /// multiplied by `scale` (positive): for an objective with `scale`⁻² times the curvature of the metric's.
+    /// Starts another problem, from `start`, in the same memory. Its coordinates are those of
+    /// `metric` with every length multiplied by `scale` (positive): for an objective with `scale`⁻²
+    /// times the curvature of the metric's.
     ///
     /// # Errors
     /// As [`QuasiNewton::new`]; the optimiser is unchanged then.
@@ -150,9 +153,9 @@ impl QuasiNewton {
         Ok(())
     }
 
-    /// Writes the solution into `x`: the iterate, or, where the run stopped because the next step was too small to be worth
-    /// an evaluation, the end of that step. The model predicts that step to a fraction of its length, so that the error
-    /// is a fraction of the iterate's.
+    /// Writes the solution into `x`: the iterate, or, where the run stopped because the next step
+    /// was too small to be worth an evaluation, the end of that step. The model predicts that step
+    /// to a fraction of its length, so that the error is a fraction of the iterate's.
     pub fn write_solution(&self, x: &mut [f64]) {
         x.copy_from_slice(&self.outcome.x);
         if self.phase == Phase::Done && self.has_proposed_step() {
@@ -172,8 +175,9 @@ impl QuasiNewton {
         &self.trial_x
     }
 
-    /// Processes the objective `f` and its gradient `gradient`, in the caller's coordinates, at [`point`](Self::point), and sets
-    /// the next point. Values that are not finite are allowed. After [`Advance::Done`] it has no effect.
+    /// Processes the objective `f` and its gradient `gradient`, in the caller's coordinates, at
+    /// [`point`](Self::point), and sets the next point. Values that are not finite are allowed.
+    /// After [`Advance::Done`] it has no effect.
     ///
     /// # Panics
     /// If `gradient` is not as long as the starting point.
@@ -201,7 +205,8 @@ impl QuasiNewton {
         }
     }
 
-    /// The limit that forbids another evaluation, if one is reached: cancel flag, evaluations, deadline.
+    /// The limit that forbids another evaluation, if one is reached: cancel flag, evaluations,
+    /// deadline.
     fn limit_reached(&self) -> Option<StopReason> {
         if is_cancelled(self.settings.cancel.as_ref()) {
             Some(StopReason::Cancelled)
@@ -219,9 +224,10 @@ impl QuasiNewton {
         &self.outcome
     }
 
-    /// Continues after a small change of the objective (of its weights, for instance): keeps the curvature and starts from
-    /// the best point, or, where the run stopped because the next step was too small, from the end of that step, which
-    /// costs no additional evaluation. The evaluations are counted on; [`Advance::Done`] if a limit is reached.
+    /// Continues after a small change of the objective (of its weights, for instance): keeps the
+    /// curvature and starts from the best point, or, where the run stopped because the next step
+    /// was too small, from the end of that step, which costs no additional evaluation. The
+    /// evaluations are counted on; [`Advance::Done`] if a limit is reached.
     pub fn restart_objective(&mut self) -> Advance {
         if self.phase == Phase::Searching {
             self.adopt_kept();
@@ -281,7 +287,8 @@ impl QuasiNewton {
         None
     }
 
-    /// Computes the direction from the iterate and sets its first point; returns the reason if the run ends.
+    /// Computes the direction from the iterate and sets its first point; returns the reason if the
+    /// run ends.
     fn follow_new_direction(&mut self) -> Option<StopReason> {
         let mut slope = self.find_direction();
         // Pairs that overflow or do not give a descent direction are useless.
@@ -294,7 +301,8 @@ impl QuasiNewton {
             return Some(StopReason::NotFinite);
         }
         if slope >= 0.0 {
-            // Without pairs the slope is zero only where the gradient is zero (or its square underflows).
+            // Without pairs the slope is zero only where the gradient is zero (or its square
+            // underflows).
             return Some(StopReason::DecrementBelowTolerance);
         }
         let decrease = -0.5 * slope;
@@ -322,7 +330,8 @@ impl QuasiNewton {
         None
     }
 
-    /// Root of the weighted sum of the squares of the proposed step's components; 0 without weights.
+    /// Root of the weighted sum of the squares of the proposed step's components; 0 without
+    /// weights.
     fn step_rms(&self) -> f64 {
         let weights = self.settings.step_weights.iter().flat_map(|weights| weights.iter());
         weights.zip(&self.direction_x).map(|(weight, d)| weight * d * d).sum::<f64>().sqrt()
@@ -337,7 +346,8 @@ impl QuasiNewton {
             Scaling::Adaptive => measured.or(own),
         };
         let inverse_curvature = inverse_curvature.unwrap_or_else(|| {
-            // Without any estimate of the curvature: a step of length one, which the line search corrects.
+            // Without any estimate of the curvature: a step of length one, which the line search
+            // corrects.
             let norm = dot(&self.gradient_z, &self.gradient_z).sqrt();
             if norm > 0.0 { 1.0 / norm } else { 1.0 }
         });
@@ -356,7 +366,8 @@ impl QuasiNewton {
         }
     }
 
-    /// Stores the pair of the step from the iterate to the trial point, `alpha` along the direction.
+    /// Stores the pair of the step from the iterate to the trial point, `alpha` along the
+    /// direction.
     fn store_pair(&mut self, alpha: f64) {
         self.pairs.push(alpha, &self.direction_z, &self.gradient_z, &self.trial_gradient_z);
     }

@@ -1,6 +1,6 @@
-//! The reference: full-memory BFGS of the `argmin` crate with a Moré-Thuente line search, in the caller's own
-//! coordinates. It keeps a dense inverse Hessian, allocates at each step and does not check the curvature: a
-//! reference for comparisons, not a fast method.
+//! The reference: full-memory BFGS of the `argmin` crate with a Moré-Thuente line search, in the
+//! caller's own coordinates. It keeps a dense inverse Hessian, allocates at each step and does not
+//! check the curvature: a reference for comparisons, not a fast method.
 
 use super::outcome::{Outcome, StopReason};
 use super::problem::{Objective, check_gradient, check_start, is_cancelled};
@@ -14,7 +14,8 @@ use std::cell::RefCell;
 /// Settings of the reference optimiser.
 #[derive(Debug, Clone)]
 pub struct ArgminBfgs {
-    /// Stop when the Euclidean norm of the gradient is below this. It has the units of the objective per unit of x.
+    /// Stop when the Euclidean norm of the gradient is below this. It has the units of the
+    /// objective per unit of x.
     pub gradient_tolerance: f64,
     /// Stop when an iteration changes the objective by less than this, in its units.
     pub cost_tolerance: f64,
@@ -27,12 +28,13 @@ pub struct ArgminBfgs {
 }
 
 impl ArgminBfgs {
-    /// Minimises `problem`, which returns the objective and its gradient at a point, from `start`. A failed line search
-    /// and a value that is not finite end the run with a [`StopReason`] and the best point found.
+    /// Minimises `problem`, which returns the objective and its gradient at a point, from `start`.
+    /// A failed line search and a value that is not finite end the run with a [`StopReason`] and
+    /// the best point found.
     ///
     /// # Errors
-    /// [`Error::Value`] for a start that is not finite or a setting out of range, [`Error::Shape`] for a gradient that
-    /// is not as long as `start`, and those of `problem`.
+    /// [`Error::Value`] for a start that is not finite or a setting out of range, [`Error::Shape`]
+    /// for a gradient that is not as long as `start`, and those of `problem`.
     pub fn minimize(&self, problem: &mut Objective, start: &[f64]) -> Result<Outcome> {
         self.check(start)?;
         let log = RefCell::new(EvaluationLog {

@@ -5,19 +5,22 @@ use crate::{Error, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// [`Settings::resolution`] of a sum of about a million terms in f64, accumulated in blocks: some 50 roundings.
+/// [`Settings::resolution`] of a sum of about a million terms in f64, accumulated in blocks: some
+/// 50 roundings.
 pub const RESOLUTION_F64: f64 = 1e-14;
-/// [`Settings::resolution`] of a sum of squares whose terms come from f32 transforms: some 10 roundings.
+/// [`Settings::resolution`] of a sum of squares whose terms come from f32 transforms: some 10
+/// roundings.
 pub const RESOLUTION_F32: f64 = 1e-6;
 
 /// Initial inverse Hessian, used in directions that no pair has explored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Scaling {
-    /// That of the metric: a Hessian of 2·I in whitened coordinates. With the identity as metric, as
-    /// [`Adaptive`](Self::Adaptive).
+    /// That of the metric: a Hessian of 2·I in whitened coordinates. With the identity as metric,
+    /// as [`Adaptive`](Self::Adaptive).
     Metric,
-    /// s·y / y·y of the newest pair. Far from the point of linearisation it converges faster: in a small phase retrieval
-    /// 6.8 / 11.5 / 18.4 evaluations from 0.3 / 0.6 / 1.2 rad RMS, against 6.7 / 12.1 / 22.4 (`tests/optimize.rs`).
+    /// s·y / y·y of the newest pair. Far from the point of linearisation it converges faster: in a
+    /// small phase retrieval 6.8 / 11.5 / 18.4 evaluations from 0.3 / 0.6 / 1.2 rad RMS, against
+    /// 6.7 / 12.1 / 22.4 (`tests/optimize.rs`).
     #[default]
     Adaptive,
 }
@@ -27,14 +30,16 @@ pub enum Scaling {
 pub struct Settings {
     /// Largest number of evaluations of objective and gradient, restarts included; at least 1.
     pub max_evaluations: usize,
-    /// Stop when the largest |component| of the proposed step, in the caller's units, and its RMS with
-    /// [`step_weights`](Self::step_weights) are below this; 0 disables the test.
+    /// Stop when the largest |component| of the proposed step, in the caller's units, and its RMS
+    /// with [`step_weights`](Self::step_weights) are below this; 0 disables the test.
     pub step_tolerance: f64,
-    /// Weight of the square of each component in the RMS of a step, 0 or more; `None` tests the largest component only.
+    /// Weight of the square of each component in the RMS of a step, 0 or more; `None` tests the
+    /// largest component only.
     pub step_weights: Option<Arc<[f64]>>,
-    /// Stop when the predicted decrease −g·d/2 (half the squared Newton decrement) is below this, in the units of
-    /// the objective; 0 disables the test. For a χ², 1 is one standard deviation along one direction. The prediction is
-    /// accurate in whitened coordinates, but may be wrong by factors of ten with the identity as metric.
+    /// Stop when the predicted decrease −g·d/2 (half the squared Newton decrement) is below this,
+    /// in the units of the objective; 0 disables the test. For a χ², 1 is one standard deviation
+    /// along one direction. The prediction is accurate in whitened coordinates, but may be wrong by
+    /// factors of ten with the identity as metric.
     pub decrement_tolerance: f64,
     /// The same, as a fraction of |f|; 0 disables the test.
     pub relative_decrement_tolerance: f64,
@@ -43,10 +48,11 @@ pub struct Settings {
     /// Smallest significant change of the objective, as a fraction of |f|: [`RESOLUTION_F64`],
     /// [`RESOLUTION_F32`].
     pub resolution: f64,
-    /// The same in the units of the objective, added to the former: for objectives whose minimum is 0.
+    /// The same in the units of the objective, added to the former: for objectives whose minimum is
+    /// 0.
     pub resolution_floor: f64,
-    /// Largest |component|, in the caller's units, of the displacement from an accepted point to any point evaluated in
-    /// the search for the next; infinite for no bound.
+    /// Largest |component|, in the caller's units, of the displacement from an accepted point to
+    /// any point evaluated in the search for the next; infinite for no bound.
     pub max_step: f64,
     /// Initial inverse Hessian.
     pub scaling: Scaling,

@@ -1,8 +1,10 @@
-//! Pistons of a sequence in several wavelengths with their whole wavelengths, before its wavefronts are retrieved.
+//! Pistons of a sequence in several wavelengths with their whole wavelengths, before its wavefronts
+//! are retrieved.
 //!
-//! A wavefront is retrieved about a static one, and pistons beyond a quarter of a wavelength need one that is near. That of each
-//! wavelength comes from modal fits: turbulence leaves them tens of nm off, and whole wavelengths. The static errors from the
-//! wavefronts of each wavelength about it tell the whole wavelengths. In these the loop is taken as unknown: its response to a piston
+//! A wavefront is retrieved about a static one, and pistons beyond a quarter of a wavelength need
+//! one that is near. That of each wavelength comes from modal fits: turbulence leaves them tens of
+//! nm off, and whole wavelengths. The static errors from the wavefronts of each wavelength about it
+//! tell the whole wavelengths. In these the loop is taken as unknown: its response to a piston
 //! depends on whole wavelengths of the image, because its sensor has another wavelength.
 
 use super::consistency::Electrons;
@@ -23,7 +25,8 @@ use ndarray::{Array1, s};
 
 /// Images whose modal fits give the first pistons.
 const MODAL_IMAGES: usize = 12;
-/// Iterations of the static errors of one wavelength: their pistons need to be known to a tenth of a wavelength only.
+/// Iterations of the static errors of one wavelength: their pistons need to be known to a tenth of
+/// a wavelength only.
 const ITERATIONS: usize = 3;
 
 /// Static wavefront with the whole wavelengths of its pistons.
@@ -95,8 +98,8 @@ impl Colours<'_, '_> {
         last.ok_or_else(|| Error::Internal("no iteration was made".into()))
     }
 
-    /// Pistons by modal fits of some images of a channel: the median over the images, each moved by whole wavelengths towards the
-    /// one that is explained best.
+    /// Pistons by modal fits of some images of a channel: the median over the images, each moved by
+    /// whole wavelengths towards the one that is explained best.
     fn modal_pistons_nm(&self, channel: &SequenceChannel) -> Result<Vec<f64>> {
         let scene = modal_scene(channel.scene)?;
         let images = channel.images.first(MODAL_IMAGES);
@@ -126,7 +129,8 @@ impl Colours<'_, '_> {
     }
 }
 
-/// `scene` of a sequence, for modal fits of its images. Low-order turbulence is fitted with the NCPA.
+/// `scene` of a sequence, for modal fits of its images. Low-order turbulence is fitted with the
+/// NCPA.
 fn modal_scene(scene: &Scene) -> Result<Scene> {
     scene.changed(|sections| {
         let (estimate, modes) = (&mut sections.estimate, &mut sections.modes);

@@ -1,4 +1,5 @@
-//! Modal estimate: the images of each channel fitted by its own scene; the fits of several are combined.
+//! Modal estimate: the images of each channel fitted by its own scene; the fits of several are
+//! combined.
 
 use super::consistency::Electrons;
 use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
@@ -40,11 +41,12 @@ pub(super) fn named<T>(name: Option<&str>, result: Result<T>) -> Result<T> {
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
 
-/// Estimates the static wavefront behind the images of all `channels` of `scene`. The `series` are of the channels with diversity, in order:
-/// fits that they have are taken.
+/// Estimates the static wavefront behind the images of all `channels` of `scene`. The `series` are
+/// of the channels with diversity, in order: fits that they have are taken.
 ///
 /// # Errors
-/// Those of the fits of each channel; [`Error::Scene`] for an estimate that channels do not have; [`Error::Interrupted`].
+/// Those of the fits of each channel; [`Error::Scene`] for an estimate that channels do not have;
+/// [`Error::Interrupted`].
 pub(super) fn estimate(
     scene: &Scene,
     policy: &Policy,
@@ -91,7 +93,8 @@ pub(super) fn left_out_warning(channel: &ChannelImages, reason: &str) -> String 
     )
 }
 
-/// The channels that determine the signs of the wavefront by themselves, and those in focus; the first are all where none does.
+/// The channels that determine the signs of the wavefront by themselves, and those in focus; the
+/// first are all where none does.
 pub(super) fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
     let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
     if with.is_empty() { [without, Vec::new()] } else { [with, without] }
@@ -157,7 +160,8 @@ impl<'a> Channels<'a> {
         Ok(estimate)
     }
 
-    /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
+    /// Fits each channel; all by the same modes, which are those of a scene that was extended where
+    /// one channel asks for it.
     fn fit_with_extensions(&self, series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
         let (mut fits, joint) = self.fit(series)?;
         let Some((chosen, selected)) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
@@ -168,7 +172,8 @@ impl<'a> Channels<'a> {
         Ok((fits, joint))
     }
 
-    /// Fit of a channel in focus near the estimate of the other channels, or the reason why it is of no use.
+    /// Fit of a channel in focus near the estimate of the other channels, or the reason why it is
+    /// of no use.
     ///
     /// # Errors
     /// Those of [`ModalTask::fit_near`].
@@ -193,7 +198,8 @@ impl<'a> Channels<'a> {
         })
     }
 
-    /// Looks for the causes of residuals, until one channel has a larger model that explains it: its number, and that model.
+    /// Looks for the causes of residuals, until one channel has a larger model that explains it:
+    /// its number, and that model.
     fn explain(&self, fits: &mut [Fitted]) -> Result<Option<(usize, Selected)>> {
         for (channel, fitted) in fits.iter_mut().enumerate() {
             self.named(channel, explain(&self.task(channel), fitted))?;
@@ -204,7 +210,8 @@ impl<'a> Channels<'a> {
         Ok(None)
     }
 
-    /// Fits each channel, and again from the results of the others while they contradict each other or do not explain their images.
+    /// Fits each channel, and again from the results of the others while they contradict each other
+    /// or do not explain their images.
     fn fit(&self, mut series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
         let each = (0..self.channels.len()).map(|channel| {
             let series = series.as_deref_mut().and_then(|series| series.get_mut(channel));
@@ -231,8 +238,8 @@ impl<'a> Channels<'a> {
         joint(self.scene, &fits.iter().map(|Fitted { fit: (fitter, found), .. }| (fitter, found)).collect::<Vec<_>>())
     }
 
-    /// Fits each channel from the joint result, from that of each other channel and from a perturbed start; whether a better minimum
-    /// was found.
+    /// Fits each channel from the joint result, from that of each other channel and from a
+    /// perturbed start; whether a better minimum was found.
     fn improve(&self, fits: &mut [Fitted], joint: &JointEstimate, round: usize) -> Result<bool> {
         let mut is_better = false;
         for (channel, fitted) in fits.iter_mut().enumerate() {
@@ -249,7 +256,8 @@ impl<'a> Channels<'a> {
     }
 }
 
-/// The scene by which one channel is fitted: without the amplitude of its diversity, which only all channels together determine.
+/// The scene by which one channel is fitted: without the amplitude of its diversity, which only all
+/// channels together determine.
 fn own_scene(scene: &Scene) -> Result<Scene> {
     scene.changed(|sections| sections.estimate.fit_optics.retain(|optic| *optic != Optic::DEFOCUS))
 }

@@ -1,18 +1,22 @@
-//! Check of scene and images before an estimate is believed: what was looked for, what was found, and the key to set.
+//! Check of scene and images before an estimate is believed: what was looked for, what was found,
+//! and the key to set.
 //!
-//! Causes compete by Schwarz's criterion, as models do in `model_selection`: a cause of k parameters that lowers χ² by Δχ² gains
-//! Δχ²/s − k ln N with N pixels, where s, at least 1, is the smallest reduced χ² of all causes: where no model is exact, χ² counts in units
-//! of what the best one leaves. A cause is a fault where its gain is positive, and the first is the one with the largest gain. For one
-//! parameter and 10⁴ pixels it must be 3σ away.
+//! Causes compete by Schwarz's criterion, as models do in `model_selection`: a cause of k
+//! parameters that lowers χ² by Δχ² gains Δχ²/s − k ln N with N pixels, where s, at least 1, is the
+//! smallest reduced χ² of all causes: where no model is exact, χ² counts in units of what the best
+//! one leaves. A cause is a fault where its gain is positive, and the first is the one with the
+//! largest gain. For one parameter and 10⁴ pixels it must be 3σ away.
 //!
 //! A defocused image of one wavelength does not determine everything:
 //!
-//! * The pixel's angle, the wavelength and the size of the pupil act through pixels per λ/D alone, and through the defocus in waves, which
-//!   the modes reproduce. They are degenerate unless a card of the file states one of them.
+//! * The pixel's angle, the wavelength and the size of the pupil act through pixels per λ/D alone,
+//!   and through the defocus in waves, which the modes reproduce. They are degenerate unless a card
+//!   of the file states one of them.
 //! * The amplitude of the defocus is that of a mode.
 //! * Flips, turns and the sign of the defocus: see `turns`.
 //!
-//! The scene in a file, and its cards, are no evidence of their own: their values are fitted too, and compete as the others.
+//! The scene in a file, and its cards, are no evidence of their own: their values are fitted too,
+//! and compete as the others.
 
 mod causes;
 mod finding;
@@ -42,15 +46,18 @@ use std::borrow::Cow;
 
 /// Images that are looked at, evenly from a sequence.
 const MAX_IMAGES: usize = 6;
-/// Ratio of reduced χ² above which a setting raises it. Fits of images that are not explained end in minima that differ by some per cent.
+/// Ratio of reduced χ² above which a setting raises it. Fits of images that are not explained end
+/// in minima that differ by some per cent.
 const RAISED: f64 = 1.05;
 
 /// What a check found.
 #[derive(Debug, Clone)]
 pub struct Check {
-    /// Findings: faults first, the likeliest cause before the others; then what agrees, then what these images do not determine.
+    /// Findings: faults first, the likeliest cause before the others; then what agrees, then what
+    /// these images do not determine.
     pub findings: Vec<Finding>,
-    /// Median reduced χ² of the images with the scene, and with the settings of the first fault where it has some.
+    /// Median reduced χ² of the images with the scene, and with the settings of the first fault
+    /// where it has some.
     pub reduced_chi2: [f64; 2],
     /// The first image with the scene's model, and with that of the settings of the first fault.
     pub compared: (FittedImage, Option<FittedImage>),
@@ -65,12 +72,12 @@ impl Check {
     }
 }
 
-/// Checks `images` of a static wavefront against `scene`. `poke` is a known change of the wavefront, with the images before it: `images` are
-/// then those behind it.
+/// Checks `images` of a static wavefront against `scene`. `poke` is a known change of the
+/// wavefront, with the images before it: `images` are then those behind it.
 ///
 /// # Errors
-/// Those of [`Estimator::estimate`](super::Estimator::estimate), except that a file that contradicts the scene is a finding;
-/// [`Error::Scene`] for a scene with channels.
+/// Those of [`Estimator::estimate`](super::Estimator::estimate), except that a file that
+/// contradicts the scene is a finding; [`Error::Scene`] for a scene with channels.
 pub fn check(
     scene: &Scene,
     images: &Images,
@@ -136,11 +143,13 @@ impl Work<'_> {
         ModalTask { scene, policy, control, cache, images: &self.images }.fit(None)
     }
 
-    /// Reduced χ² of image `image` with `scene`, without restarts, which a scene that explains it does not need; `None` where the fit fails.
+    /// Reduced χ² of image `image` with `scene`, without restarts, which a scene that explains it
+    /// does not need; `None` where the fit fails.
     fn trial_chi2(&self, scene: &Scene, image: usize) -> Result<Option<f64>> {
         let (policy, control, cache) = (&self.policy, self.control, &ModelCache::default());
         match (ModalTask { scene, policy, control, cache, images: &self.images }).fit_one(scene, image) {
-            // Near the right scene a fit may end at the limit of its evaluations, with a χ² that is lower than elsewhere.
+            // Near the right scene a fit may end at the limit of its evaluations, with a χ² that is
+            // lower than elsewhere.
             Ok(fit) => Ok(fit.and_then(|(_, found)| found.images.first().map(|image| image.reduced_chi2))),
             Err(error @ Error::Interrupted(_)) => Err(error),
             Err(_) => Ok(None),
@@ -180,9 +189,11 @@ impl Work<'_> {
         })
     }
 
-    /// Reduced χ² and first image of the fit with the settings of the first fault, where it has some. A fault whose settings raise χ² is none that was
-    /// found: it is not proposed, and the next one takes its place. An image in focus is known by its shape: NCPA of the opposite focus explain it as
-    /// well as no defocus does, and the fit without, whose even aberrations have no sign, may end beside its minimum.
+    /// Reduced χ² and first image of the fit with the settings of the first fault, where it has
+    /// some. A fault whose settings raise χ² is none that was found: it is not proposed, and the
+    /// next one takes its place. An image in focus is known by its shape: NCPA of the opposite
+    /// focus explain it as well as no defocus does, and the fit without, whose even aberrations
+    /// have no sign, may end beside its minimum.
     fn correct(
         &self,
         given: &Scene,
@@ -206,8 +217,9 @@ impl Work<'_> {
         Ok(None)
     }
 
-    /// Fits the images, and finds where one is in focus and the scene has a defocus, which NCPA of the opposite focus may explain; or the reverse,
-    /// if the scene does not explain them. Where they cannot be fitted for that, they are with the defocus that is seen.
+    /// Fits the images, and finds where one is in focus and the scene has a defocus, which NCPA of
+    /// the opposite focus may explain; or the reverse, if the scene does not explain them. Where
+    /// they cannot be fitted for that, they are with the defocus that is seen.
     fn first_fit(&self, scene: &Scene, cache: &ModelCache) -> Result<(Fitted, Option<Finding>)> {
         let first = self.fit(scene, cache);
         let image = match &first {
@@ -282,7 +294,8 @@ impl Work<'_> {
     }
 }
 
-/// Faults first, those with the largest gain before the others; then what agrees, then what is not determined.
+/// Faults first, those with the largest gain before the others; then what agrees, then what is not
+/// determined.
 fn sort(findings: &mut [Finding]) {
     let rank = |finding: &Finding| match finding.verdict {
         Verdict::Fault => 0,
@@ -295,8 +308,8 @@ fn sort(findings: &mut [Finding]) {
     });
 }
 
-/// Whether a reduced χ² is higher than before: more than fits of an image that the model does not explain differ by. Below 1 the noise is stated too
-/// large, and its right value raises χ² to 1.
+/// Whether a reduced χ² is higher than before: more than fits of an image that the model does not
+/// explain differ by. Below 1 the noise is stated too large, and its right value raises χ² to 1.
 fn is_raised(chi2: f64, before: f64) -> bool {
     chi2 > RAISED * before.max(1.0)
 }

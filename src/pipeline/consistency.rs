@@ -1,5 +1,5 @@
-//! Consistency of an image file with the scene: its cards and its own scene are compared with the keys, and the pixels are
-//! converted to electrons.
+//! Consistency of an image file with the scene: its cards and its own scene are compared with the
+//! keys, and the pixels are converted to electrons.
 //!
 //! A contradiction is an error, unless [`Images::trust`] says which of the two holds.
 
@@ -31,8 +31,8 @@ impl Electrons<'_> {
         self.images_e.dim().0
     }
 
-    /// The sum of the images `which`, as one image: bad where one of them is, with the read noise of all, where it is known for one
-    /// (else `scene_read_noise_e`).
+    /// The sum of the images `which`, as one image: bad where one of them is, with the read noise
+    /// of all, where it is known for one (else `scene_read_noise_e`).
     pub(super) fn sum(&self, which: &[usize], scene_read_noise_e: Option<f64>) -> Electrons<'static> {
         let images_e = self.images_e.select(Axis(0), which).sum_axis(Axis(0)).insert_axis(Axis(0));
         let bad = self.bad.select(Axis(0), which).map_axis(Axis(0), |pixel| pixel.iter().any(|bad| *bad));
@@ -72,8 +72,8 @@ pub(super) struct Contradiction {
 /// Compares `images` with `scene`, and converts them to electrons.
 ///
 /// # Errors
-/// [`Error::Image`] for a file that contradicts the scene, and for pixels that are not in electrons and have no gain;
-/// [`Error::Scene`] for a value of the file that the scene does not accept.
+/// [`Error::Image`] for a file that contradicts the scene, and for pixels that are not in electrons
+/// and have no gain; [`Error::Scene`] for a value of the file that the scene does not accept.
 pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consistent<'a>> {
     let (scene_now, remarks) = (scene.clone(), images.remarks.clone());
     let mut comparison =
@@ -111,8 +111,8 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
 
 struct Comparison<'a> {
     images: &'a Images,
-    /// The scene, with the values of the file that were found to differ unless the scene is trusted: a card that follows from
-    /// them is no further contradiction.
+    /// The scene, with the values of the file that were found to differ unless the scene is
+    /// trusted: a card that follows from them is no further contradiction.
     scene: Scene,
     is_changed: bool,
     contradictions: Vec<Contradiction>,
@@ -131,12 +131,14 @@ impl Comparison<'_> {
     /// Compares the cards with the keys. `given` is the scene before any comparison.
     fn compare_facts(&mut self, given: &Scene) -> Result<()> {
         self.compare(Quantity::WavelengthNm)?;
-        // A file that is trusted may name the wavelength, which is more exact than the centre of its filter's band.
+        // A file that is trusted may name the wavelength, which is more exact than the centre of
+        // its filter's band.
         if self.images.trust != Trust::File || self.facts(Quantity::WavelengthNm).is_empty() {
             self.compare(Quantity::BandNm)?;
         }
-        // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
-        // file's wavelength, where it is trusted, needs the sampling that goes with it.
+        // A pixel that agrees with the scene as given contradicts it no more where another card
+        // contradicts its wavelength; the file's wavelength, where it is trusted, needs the
+        // sampling that goes with it.
         let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| fact.agrees(mas));
         let is_settled = self.images.trust != Trust::File && given.pixel_mas().is_some_and(agrees);
         if !is_settled {
@@ -174,7 +176,8 @@ impl Comparison<'_> {
                 let scene_has = shown.text();
                 self.remarks.push(format!("{shown_file} is the file's ({source}); the scene has {scene_has}."));
             }
-            // Some values fit only together with others of the file: the contradiction is reported in any case.
+            // Some values fit only together with others of the file: the contradiction is reported
+            // in any case.
             Trust::Neither => {
                 if let Ok(scene) = with_file() {
                     self.scene = scene;
@@ -185,8 +188,8 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// Read noise of the file, where the scene has none, or where that of the scene is what the noise of reduced images was derived
-    /// from.
+    /// Read noise of the file, where the scene has none, or where that of the scene is what the
+    /// noise of reduced images was derived from.
     fn read_noise_e(&self) -> Option<f64> {
         let facts = self.facts(Quantity::ReadNoiseE);
         let of_a_coadd = facts.iter().find(|fact| fact.keyword == READ_NOISE_OF_A_COADD);

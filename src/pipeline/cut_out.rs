@@ -1,5 +1,6 @@
-//! Size of a cut-out: images of a file that cophase wrote may be smaller or larger than the scene says, for they have their star where a scene
-//! of their size has it. The size is no property of the instrument.
+//! Size of a cut-out: images of a file that cophase wrote may be smaller or larger than the scene
+//! says, for they have their star where a scene of their size has it. The size is no property of
+//! the instrument.
 
 use super::images::Images;
 use crate::Result;
@@ -7,8 +8,8 @@ use crate::scene::Scene;
 
 const KEYS: [&str; 3] = ["image.pixels", "image.columns", "image.rows"];
 
-/// `scene` for images of another size, by the scenes of their files, with a sentence on it; `None` where the size is the scene's, where a file
-/// does not say it, or where the caller has set it.
+/// `scene` for images of another size, by the scenes of their files, with a sentence on it; `None`
+/// where the size is the scene's, where a file does not say it, or where the caller has set it.
 ///
 /// # Errors
 /// [`crate::Error::Scene`] for a size that the scene does not accept.

@@ -15,13 +15,15 @@ use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use std::sync::Arc;
 
-/// Static wavefront behind one image or many: modes, maps, error bars, and the outcome of each image.
+/// Static wavefront behind one image or many: modes, maps, error bars, and the outcome of each
+/// image.
 ///
-/// Maps are `[y, x]` on the grid of [`Estimate::pupil`], nm of wavefront, NaN outside the pupil. Modes are those of
-/// [`Estimate::basis`]: segments first, then NCPA.
+/// Maps are `[y, x]` on the grid of [`Estimate::pupil`], nm of wavefront, NaN outside the pupil.
+/// Modes are those of [`Estimate::basis`]: segments first, then NCPA.
 #[derive(Debug, Clone)]
 pub struct Estimate {
-    /// The scene that was used: with the choices of a plan and the optical parameters that were fitted; one with channels as it was given.
+    /// The scene that was used: with the choices of a plan and the optical parameters that were
+    /// fitted; one with channels as it was given.
     pub scene: Scene,
     /// The policy that was followed.
     pub policy: Policy,
@@ -41,7 +43,8 @@ pub struct Estimate {
     pub error_budget: Vec<ErrorTerm>,
     /// Outcome of each image, in order.
     pub images: Vec<ImageOutcome>,
-    /// Names of the channels whose images it is from, in order; none for a scene with one way of imaging.
+    /// Names of the channels whose images it is from, in order; none for a scene with one way of
+    /// imaging.
     pub channels: Vec<String>,
     /// Worst status of the images that the estimate depends on.
     pub status: Status,
@@ -53,7 +56,8 @@ pub struct Estimate {
     pub model: String,
     /// Optical parameters that were fitted, or found to differ from the scene's.
     pub optics: Vec<OpticalParameter>,
-    /// Whole wavelengths of each segment's piston, in the order of the segments; none where the channels have one wavelength.
+    /// Whole wavelengths of each segment's piston, in the order of the segments; none where the
+    /// channels have one wavelength.
     pub integers: Vec<PistonInteger>,
     /// Warnings: sentences that a user should read before using the numbers.
     pub warnings: Vec<String>,
@@ -72,7 +76,8 @@ pub struct Estimate {
 pub enum MethodResult {
     /// Static modes fitted to each image, images combined.
     Modal(ModalSummary),
-    /// Maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the turbulence.
+    /// Maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the
+    /// turbulence.
     FullPhase(MapSummary),
 }
 
@@ -83,11 +88,13 @@ pub struct ModalSummary {
     pub combine: Combine,
     /// Coefficients of each image, `[image, mode]`, nm, NaN for unusable ones.
     pub image_coefficients_nm: Array2<f64>,
-    /// First image of each channel that was used, with its model, in the order of [`Estimate::channels`].
+    /// First image of each channel that was used, with its model, in the order of
+    /// [`Estimate::channels`].
     pub compared: Vec<FittedImage>,
     /// Combinations of modes that change the images little or not at all.
     pub degeneracy: Degeneracy,
-    /// Modal fitter with the model that the images were compared with; of several channels that of the first.
+    /// Modal fitter with the model that the images were compared with; of several channels that of
+    /// the first.
     pub fitter: Arc<ModalFitter>,
 }
 
@@ -146,8 +153,8 @@ pub struct OpticalParameter {
     pub value: f64,
     /// Error bar, 1σ: infinite where the modes reproduce its effect, NaN where it is not known.
     pub sigma: f64,
-    /// Share of the parameter's effect on the image that neither the modes nor other parameters reproduce; NaN where it is
-    /// not known.
+    /// Share of the parameter's effect on the image that neither the modes nor other parameters
+    /// reproduce; NaN where it is not known.
     pub identifiable: f64,
 }
 
@@ -178,7 +185,8 @@ pub struct MapSummary {
 }
 
 impl Figures {
-    /// RMS of `maps` over the pupil, with the expected RMS of the errors of phasing, NCPA and their sum.
+    /// RMS of `maps` over the pupil, with the expected RMS of the errors of phasing, NCPA and their
+    /// sum.
     pub(super) fn new(pupil: &Pupil, maps: &StaticMaps, sigma_nm: [f64; 3]) -> Result<Self> {
         let figure = |map: &Array2<f64>, sigma_nm| Ok(Figure { rms_nm: detrended(pupil, map.view())?.1, sigma_nm });
         let [phasing, ncpa, wavefront] = sigma_nm;
@@ -213,7 +221,8 @@ impl Comparison {
     }
 }
 
-/// Refuses maps of another grid or of another pupil than `pupil`; `whose` is the beginning of their names.
+/// Refuses maps of another grid or of another pupil than `pupil`; `whose` is the beginning of their
+/// names.
 pub(super) fn check_on_pupil(pupil: &Pupil, whose: &str, maps: &StaticMaps) -> Result<()> {
     check_map_on_pupil(pupil, &format!("{whose} phasing"), &maps.phasing_nm)?;
     check_map_on_pupil(pupil, &format!("{whose} NCPA"), &maps.ncpa_nm)
@@ -323,14 +332,17 @@ impl Estimate {
         Comparison::new(&self.pupil, &self.maps, truth)
     }
 
-    /// Corrections of segments, mirror and reference slopes by the policy of the scene's section `[commands]`, also in the terms of the controllers
-    /// that it describes. No increment is larger than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the wavelength
-    /// (half of the distance to the next fringe), and no limit where the whole wavelengths are known. Of a modal estimate tips and tilts of
-    /// segments are not corrected, and it has no reference slopes.
+    /// Corrections of segments, mirror and reference slopes by the policy of the scene's section
+    /// `[commands]`, also in the terms of the controllers that it describes. No increment is larger
+    /// than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the
+    /// wavelength (half of the distance to the next fringe), and no limit where the whole
+    /// wavelengths are known. Of a modal estimate tips and tilts of segments are not corrected, and
+    /// it has no reference slopes.
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive, for segment modes from a file, which are not pistons, and for steps at edges where
-    /// segments are tilted; [`Error::File`] for a controller's table or matrix that cannot be read or does not fit.
+    /// [`Error::Value`] for a limit that is not positive, for segment modes from a file, which are
+    /// not pistons, and for steps at edges where segments are tilted; [`Error::File`] for a
+    /// controller's table or matrix that cannot be read or does not fit.
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
         let segment_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };

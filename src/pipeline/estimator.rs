@@ -19,8 +19,8 @@ use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::{Mutex, PoisonError};
 
-/// Estimates the static wavefront behind images of one scene. The model of a modal estimate is kept for the next one, unless the image file,
-/// fitted optics or a file that the scene names change it.
+/// Estimates the static wavefront behind images of one scene. The model of a modal estimate is kept
+/// for the next one, unless the image file, fitted optics or a file that the scene names change it.
 pub struct Estimator {
     /// The scene as given.
     pub(super) given: Scene,
@@ -35,11 +35,12 @@ pub struct Estimator {
 }
 
 impl Estimator {
-    /// An estimator with the default policy. Where the scene names `estimate.budget_nm` the model is planned here, which
-    /// takes some seconds.
+    /// An estimator with the default policy. Where the scene names `estimate.budget_nm` the model
+    /// is planned here, which takes some seconds.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that the scene names and that does not exist; those of [`planner::plan`].
+    /// [`Error::File`] for a file that the scene names and that does not exist; those of
+    /// [`planner::plan`].
     pub fn new(scene: &Scene) -> Result<Self> {
         Self::with_policy(scene, Policy::default(), Control::default())
     }
@@ -47,7 +48,8 @@ impl Estimator {
     /// An estimator with a policy and a control of the caller's.
     ///
     /// # Errors
-    /// As [`Estimator::new`]; [`Error::Scene`] for a key that the policy does not honour; [`Error::Interrupted`].
+    /// As [`Estimator::new`]; [`Error::Scene`] for a key that the policy does not honour;
+    /// [`Error::Interrupted`].
     pub fn with_policy(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
         check_for_estimate(scene)?;
@@ -55,8 +57,9 @@ impl Estimator {
         Ok(Self { given, scene, policy, control, cache: Mutex::default(), shortfall })
     }
 
-    /// An estimator of another scene with this one's policy and control. It shares the Karhunen-Loève basis, which takes most
-    /// of the time of building a model, where telescope, mirror, turbulence and modes are the same.
+    /// An estimator of another scene with this one's policy and control. It shares the
+    /// Karhunen-Loève basis, which takes most of the time of building a model, where telescope,
+    /// mirror, turbulence and modes are the same.
     ///
     /// # Errors
     /// As [`Estimator::with_policy`].
@@ -91,16 +94,18 @@ impl Estimator {
         &self.control
     }
 
-    /// Estimates the static wavefront behind `images`: one [`Images`], or a list with those of each channel of the scene, in the order of
-    /// [`Scene::each_channel`], or in any order where [`Images::channel`] names the channel of each. Problems of single images are in their
+    /// Estimates the static wavefront behind `images`: one [`Images`], or a list with those of each
+    /// channel of the scene, in the order of [`Scene::each_channel`], or in any order where
+    /// [`Images::channel`] names the channel of each. Problems of single images are in their
     /// outcomes; warnings on the whole are in [`Estimate::warnings`].
     ///
     /// # Errors
-    /// [`Error::Image`] for a file that contradicts the scene where [`Images::trust`] does not decide, and for images in counts
-    /// without a gain. Those of building the telescope and its modes; [`Error::Shape`] for images of other channels or of another size than
-    /// the scene says, or telemetry of another number; [`Error::Image`] where no image can be used (two in a MAP estimate);
-    /// [`Error::Device`] where the device that the scene names does not exist or fails; [`Error::Interrupted`] after
-    /// [`Control::cancel`].
+    /// [`Error::Image`] for a file that contradicts the scene where [`Images::trust`] does not
+    /// decide, and for images in counts without a gain. Those of building the telescope and its
+    /// modes; [`Error::Shape`] for images of other channels or of another size than the scene says,
+    /// or telemetry of another number; [`Error::Image`] where no image can be used (two in a MAP
+    /// estimate); [`Error::Device`] where the device that the scene names does not exist or fails;
+    /// [`Error::Interrupted`] after [`Control::cancel`].
     pub fn estimate(&self, images: &(impl AsRef<[Images]> + ?Sized)) -> Result<Estimate> {
         self.estimate_with(images.as_ref(), None)
     }
@@ -155,7 +160,8 @@ impl Estimator {
     /// What an estimate from the images of all channels works on.
     pub(super) fn ready<'a>(&'a self, images: &[&Images], cut: &'a [CutImages]) -> Result<Ready<'a>> {
         let planned_scenes = self.scene.each_channel();
-        // A plan of several channels is of all together, and holds where a file replaces a value of one.
+        // A plan of several channels is of all together, and holds where a file replaces a value of
+        // one.
         let own_scenes = if images.len() > 1 { planned_scenes.clone() } else { self.given.each_channel() };
         let (cache, mut shortfall, mut channels) = (self.cache(), self.shortfall.clone(), Vec::new());
         let (mut notes, mut remarks) = (Vec::new(), Vec::new());
@@ -182,7 +188,8 @@ impl Estimator {
             channels.push(ChannelImages { name, scene, images: consistent.images, cache });
         }
         remarks.extend(choose_method(&mut channels)?);
-        // One that lists its channels stays as it was given: what a file replaces is a value of its channel.
+        // One that lists its channels stays as it was given: what a file replaces is a value of its
+        // channel.
         let scene = match &channels[..] {
             [ChannelImages { name: None, scene, .. }] => scene.clone(),
             _ => with_method(&self.scene, channels[0].scene.estimate.method)?,
@@ -196,15 +203,17 @@ pub(super) type CutImages<'a> = (Cow<'a, Images>, Option<String>);
 
 /// What an estimate works on.
 pub(super) struct Ready<'a> {
-    /// The scene with the choices of its plan and the method; one without channels with the file's values that are trusted, too.
+    /// The scene with the choices of its plan and the method; one without channels with the file's
+    /// values that are trusted, too.
     pub(super) scene: Scene,
     pub(super) channels: Vec<ChannelImages<'a>>,
     notes: Vec<String>,
     remarks: Vec<String>,
 }
 
-/// Refuses images of another size than the scene's before their cards are compared with its keys: those of a whole raw frame contradict
-/// more than that. In a file with a scene of its own the difference of the scenes is the reason, and it is named first.
+/// Refuses images of another size than the scene's before their cards are compared with its keys:
+/// those of a whole raw frame contradict more than that. In a file with a scene of its own the
+/// difference of the scenes is the reason, and it is named first.
 pub(super) fn check_size(images: &Images, scene: &Scene) -> Result<()> {
     let (_, rows, columns) = images.images_e.dim();
     if images.scene.is_some() { Ok(()) } else { check_frame_shape((rows, columns), scene.image.fitted_shape()) }
@@ -256,8 +265,9 @@ fn planned(scene: &Scene, control: &Control) -> Result<(Scene, Option<String>)> 
     Ok((plan.scene, shortfall))
 }
 
-/// Gives the scenes of `channels` the method that `estimate.method = "auto"` chooses for all of them, where they have it, and returns a
-/// sentence on it: the images of one channel suffice that change.
+/// Gives the scenes of `channels` the method that `estimate.method = "auto"` chooses for all of
+/// them, where they have it, and returns a sentence on it: the images of one channel suffice that
+/// change.
 fn choose_method(channels: &mut [ChannelImages]) -> Result<Option<String>> {
     if channels[0].scene.estimate.method != Method::Auto {
         return Ok(None);
@@ -281,8 +291,8 @@ fn with_method(scene: &Scene, method: Method) -> Result<Scene> {
 
 /// The method for the `images` of one channel, and the reason.
 ///
-/// A MAP estimate needs two images or more that differ by more than noise, and a scene that says what changes them: an AO loop or
-/// turbulence.
+/// A MAP estimate needs two images or more that differ by more than noise, and a scene that says
+/// what changes them: an AO loop or turbulence.
 fn method_for(scene: &Scene, images: &Electrons) -> (Method, String) {
     let varies = scene.control.is_some() || scene.wavefront_sensor.is_some() || !scene.turbulence.fractions.is_empty();
     match image_changes(scene, images) {

@@ -9,7 +9,8 @@ use crate::modal::ModalEstimate;
 use crate::scene::Scene;
 use std::time::Instant;
 
-/// Reduced χ² of the mean residual of several images above which the model is wrong, as for one image.
+/// Reduced χ² of the mean residual of several images above which the model is wrong, as for one
+/// image.
 const MEAN_RESIDUAL_MISFIT: f64 = 2.0;
 
 /// Whether the mean of several images has a residual that the model does not explain.
@@ -17,7 +18,8 @@ pub(super) fn is_mean_misfit(found: &ModalEstimate) -> bool {
     found.used() > 1 && found.mean_residual_chi2 > MEAN_RESIDUAL_MISFIT
 }
 
-/// Looks for the cause of the residual of `fitted`, and for a larger model that explains the images: they are then fitted by that.
+/// Looks for the cause of the residual of `fitted`, and for a larger model that explains the
+/// images: they are then fitted by that.
 ///
 /// # Errors
 /// Those of the fits, and [`crate::Error::Interrupted`].
@@ -46,7 +48,8 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     Ok(())
 }
 
-/// Looks for the cause of the residual of the first image that is used, or for a model that explains it.
+/// Looks for the cause of the residual of the first image that is used, or for a model that
+/// explains it.
 fn explain_image(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     fitted.changes = image_changes(task.scene, task.images);
     let found = &fitted.fit;
@@ -67,7 +70,8 @@ fn explain_image(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     Ok(())
 }
 
-/// Looks for a model that explains the sum of the images, in which modes are N times as significant as in one of N images.
+/// Looks for a model that explains the sum of the images, in which modes are N times as significant
+/// as in one of N images.
 fn selected_by_sum(task: &ModalTask, found: &ModalEstimate) -> Result<Option<Selected>> {
     if !model_selection::may_extend(task.scene, task.policy) {
         return Ok(None);

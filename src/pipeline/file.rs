@@ -93,8 +93,8 @@ fn modes(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     file.table("MODES", &columns)
 }
 
-/// The segments with their place in the mirror, so that a piston is sent to the segment that it belongs to with any
-/// observatory's numbering.
+/// The segments with their place in the mirror, so that a piston is sent to the segment that it
+/// belongs to with any observatory's numbering.
 fn segments(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let places = SegmentPlace::all(&estimate.scene, &estimate.pupil.segments);
     if places.is_empty() {

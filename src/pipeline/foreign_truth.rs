@@ -1,9 +1,10 @@
 //! Truth of another program: a piston for each segment, or maps on grids of their own.
 //!
-//! Two programs do not agree on the samples at an edge: which segment owns one, what a map holds beyond the illuminated area. With maps,
-//! such samples are left out: a sample counts where all points around it, as far as the interpolation of the map reaches, are of its segment
-//! (for a map of NCPA: are illuminated). The points are those of a pupil on a finer grid, so that on the estimate's own grid only samples
-//! are left out whose centre is on an edge.
+//! Two programs do not agree on the samples at an edge: which segment owns one, what a map holds
+//! beyond the illuminated area. With maps, such samples are left out: a sample counts where all
+//! points around it, as far as the interpolation of the map reaches, are of its segment (for a map
+//! of NCPA: are illuminated). The points are those of a pupil on a finer grid, so that on the
+//! estimate's own grid only samples are left out whose centre is on an edge.
 
 use super::estimate::check_on_pupil;
 use super::images::counted;
@@ -15,7 +16,8 @@ use ndarray::Array2;
 
 /// Least share of the pupil's light in the samples that are compared.
 const LEAST_SHARE: f64 = 0.3;
-/// Largest share of the light of these samples at which a map may have no value, as another program may have its own obscuration.
+/// Largest share of the light of these samples at which a map may have no value, as another program
+/// may have its own obscuration.
 const MOST_MISSING: f64 = 0.05;
 
 /// Truth of another program, as far as it is known.
@@ -27,14 +29,16 @@ pub struct ForeignTruth {
     pub phasing: Option<OpdMap>,
     /// Non-common path aberrations.
     pub ncpa: Option<OpdMap>,
-    /// The whole wavefront; with cards of the segments, their pistons and tilts are the segment errors and the map is the NCPA.
+    /// The whole wavefront; with cards of the segments, their pistons and tilts are the segment
+    /// errors and the map is the NCPA.
     pub wavefront: Option<OpdMap>,
 }
 
 /// Estimate minus truth, piston, tip and tilt removed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForeignComparison {
-    /// RMS of the residual of phasing, NCPA and their sum, nm; `None` where the truth does not have it.
+    /// RMS of the residual of phasing, NCPA and their sum, nm; `None` where the truth does not have
+    /// it.
     pub rms_nm: [Option<f64>; 3],
     /// Illuminated samples of the pupil.
     pub samples: usize,
@@ -45,7 +49,8 @@ pub struct ForeignComparison {
 /// A truth on the grid of the estimate, nm, NaN where it has no value.
 struct Part {
     values_nm: Array2<f64>,
-    /// Distance to the farthest sample of its map that a value is interpolated from, along rows and columns, m; `None` for what has no map.
+    /// Distance to the farthest sample of its map that a value is interpolated from, along rows and
+    /// columns, m; `None` for what has no map.
     reach_m: Option<f64>,
     /// Whether it changes from segment to segment.
     is_stepped: bool,
@@ -122,8 +127,9 @@ impl ForeignTruth {
     /// Compares the `maps` of an estimate on the grid of `telescope` with the truth.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Value`] for maps, pistons or cards of another number of samples or segments; [`Error::Value`] where
-    /// the samples that can be compared have less than 30 % of the light, and for a map that has no value at more than 5 % of it.
+    /// [`Error::Shape`] or [`Error::Value`] for maps, pistons or cards of another number of samples
+    /// or segments; [`Error::Value`] where the samples that can be compared have less than 30 % of
+    /// the light, and for a map that has no value at more than 5 % of it.
     pub fn compare(&self, telescope: &Telescope, maps: &StaticMaps) -> Result<ForeignComparison> {
         let pupil = &telescope.pupil;
         check_on_pupil(pupil, "the estimate's", maps)?;
@@ -191,8 +197,9 @@ fn leave_out(pupil: &mut Pupil, is_out: impl Fn([usize; 2]) -> bool) {
     }
 }
 
-/// Whether all samples of `fine` as far as `reach_m` along rows and columns, and the nearest in any case, are illuminated, and of the
-/// segment of the sample `at` of `pupil` for a part that changes from segment to segment.
+/// Whether all samples of `fine` as far as `reach_m` along rows and columns, and the nearest in any
+/// case, are illuminated, and of the segment of the sample `at` of `pupil` for a part that changes
+/// from segment to segment.
 fn is_clear(pupil: &Pupil, fine: &Pupil, at: [usize; 2], reach_m: f64, is_stepped: bool) -> bool {
     let (grid, owner) = (&fine.grid, pupil.owner[at]);
     // Half a sample reaches the nearest, between which a sample of a coarser grid may lie.

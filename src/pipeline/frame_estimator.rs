@@ -1,7 +1,9 @@
-//! Frame estimator: an estimate of each frame as it comes, with everything that does not depend on the frame made once.
+//! Frame estimator: an estimate of each frame as it comes, with everything that does not depend on
+//! the frame made once.
 //!
-//! By [`Policy::realtime`] a frame is fitted by a [`Session`]; by any other policy an [`Estimator`] makes the estimate of a file. Both
-//! report the same modes, those of the scene, so that estimates of one night can be compared and tracked.
+//! By [`Policy::realtime`] a frame is fitted by a [`Session`]; by any other policy an [`Estimator`]
+//! makes the estimate of a file. Both report the same modes, those of the scene, so that estimates
+//! of one night can be compared and tracked.
 
 use super::consistency::reconcile;
 use super::estimate::Estimate;
@@ -42,8 +44,8 @@ enum Method {
 pub struct FrameEstimate {
     /// The modes, with their covariance; NaN where there is no fit.
     pub modes: CombinedModes,
-    /// Report on the fit. Of an estimate from several images it is that of the first that is used, with the status and the χ² of the
-    /// estimate, and the mean tip and tilt.
+    /// Report on the fit. Of an estimate from several images it is that of the first that is used,
+    /// with the status and the χ² of the estimate, and the mean tip and tilt.
     pub report: ImageReport,
     /// Why the numbers must not be used: a sentence; `None` where they may.
     pub refusal: Option<String>,
@@ -54,11 +56,13 @@ pub struct FrameEstimate {
 }
 
 impl FrameEstimator {
-    /// Builds the model of `scene`, and by [`Policy::realtime`] a session of it: a second at the size of Keck.
+    /// Builds the model of `scene`, and by [`Policy::realtime`] a session of it: a second at the
+    /// size of Keck.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a scene with channels, with `estimate.method = "full-phase"` or `"auto"`, or with a key that the policy does
-    /// not honour; those of [`ModalFitter::new`], [`Session::new`] and [`Estimator::with_policy`].
+    /// [`Error::Scene`] for a scene with channels, with `estimate.method = "full-phase"` or
+    /// `"auto"`, or with a key that the policy does not honour; those of [`ModalFitter::new`],
+    /// [`Session::new`] and [`Estimator::with_policy`].
     pub fn new(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
         check_for_estimate(scene)?;
@@ -93,12 +97,13 @@ impl FrameEstimator {
         }
     }
 
-    /// Estimate `number` of [`FrameEstimator::estimates_of`] from `images`, which are checked and converted as [`Estimator::estimate`]
-    /// does.
+    /// Estimate `number` of [`FrameEstimator::estimates_of`] from `images`, which are checked and
+    /// converted as [`Estimator::estimate`] does.
     ///
     /// # Errors
-    /// [`Error::Image`] and [`Error::Shape`] for images that contradict the scene or have another size; those of the fit. A frame that
-    /// cannot be fitted is no error: see [`FrameEstimate::refusal`].
+    /// [`Error::Image`] and [`Error::Shape`] for images that contradict the scene or have another
+    /// size; those of the fit. A frame that cannot be fitted is no error: see
+    /// [`FrameEstimate::refusal`].
     pub fn estimate(&mut self, images: &Images, number: usize) -> Result<FrameEstimate> {
         match &mut self.method {
             Method::Sessions(sessions) => {
@@ -119,16 +124,18 @@ impl FrameEstimator {
 }
 
 impl FrameEstimator {
-    /// Which of these modes the scene's policy corrects, and by how much: the decision alone, in microseconds. NCPA stay where the scene names no
-    /// mirror.
+    /// Which of these modes the scene's policy corrects, and by how much: the decision alone, in
+    /// microseconds. NCPA stay where the scene names no mirror.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of modes; [`Error::Value`] for segment modes that are not pistons.
+    /// [`Error::Shape`] for another number of modes; [`Error::Value`] for segment modes that are
+    /// not pistons.
     pub fn correction(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<Correction> {
         self.errors(&self.checked(coefficients_nm, covariance_nm2)?).correction()
     }
 
-    /// Corrections of these modes, such as those of a tracked state, as [`Estimate::corrections`] makes them of an estimate.
+    /// Corrections of these modes, such as those of a tracked state, as [`Estimate::corrections`]
+    /// makes them of an estimate.
     ///
     /// # Errors
     /// As [`FrameEstimator::correction`], and those of [`Estimate::corrections`].

@@ -1,8 +1,9 @@
-//! Changes from one image to the next: what differs beyond noise, flux, background and small shifts.
+//! Changes from one image to the next: what differs beyond noise, flux, background and small
+//! shifts.
 //!
-//! Each image is fitted by the mean of the others, their first and second derivatives (a shift by a fraction of a pixel) and a
-//! constant. Images of static aberrations leave a reduced χ² of about 1; behind adaptive optics the speckles change, and it is
-//! tens to thousands.
+//! Each image is fitted by the mean of the others, their first and second derivatives (a shift by a
+//! fraction of a pixel) and a constant. Images of static aberrations leave a reduced χ² of about 1;
+//! behind adaptive optics the speckles change, and it is tens to thousands.
 
 use super::consistency::Electrons;
 use crate::linear_algebra::SpdInverse;
@@ -20,8 +21,8 @@ const LEAST_PIXELS: usize = 40;
 /// The mean, its derivatives (two first and three second ones), a constant.
 const TERMS: usize = 7;
 
-/// Median over the images of the reduced χ² of each about the others; `None` for fewer than two images, or too few pixels with
-/// signal.
+/// Median over the images of the reduced χ² of each about the others; `None` for fewer than two
+/// images, or too few pixels with signal.
 pub(super) fn image_changes(scene: &Scene, images: &Electrons) -> Option<f64> {
     let count = images.len().min(COMPARED);
     if count < 2 {
@@ -111,7 +112,8 @@ mod tests {
         Scene::preset("keck-artificial").unwrap().with_override("image.read_noise_e", "10").unwrap()
     }
 
-    /// Spots with a pattern, shifted by `shift` pixels and changed by `change`, with Gaussian noise.
+    /// Spots with a pattern, shifted by `shift` pixels and changed by `change`, with Gaussian
+    /// noise.
     fn images(shifts: [f64; 4], change: f64) -> Images {
         use rand_distr::{Distribution, StandardNormal};
         let mut rng = crate::source::stream(1, 2);

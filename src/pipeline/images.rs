@@ -15,25 +15,30 @@ use std::path::Path;
 /// Images to estimate from.
 #[derive(Debug, Clone)]
 pub struct Images {
-    /// Electrons, `[image, y, x]`; an estimate converts images in another [`Images::unit`] to electrons.
+    /// Electrons, `[image, y, x]`; an estimate converts images in another [`Images::unit`] to
+    /// electrons.
     pub images_e: Array3<f64>,
     /// Bad pixels, `[image, y, x]`: they are ignored. Pixels that are not finite are bad, too.
     pub bad: Array3<bool>,
-    /// Read noise of a pixel, RMS electrons; `None` for the scene's, else the file's, else the scatter of each image's border.
+    /// Read noise of a pixel, RMS electrons; `None` for the scene's, else the file's, else the
+    /// scatter of each image's border.
     pub read_noise_e: Option<f64>,
-    /// Slopes of the wavefront sensor, mean over each exposure, `[image, slope]`, mas: along x for every subaperture, then
-    /// along y. A MAP estimate uses them; `None` without telemetry.
+    /// Slopes of the wavefront sensor, mean over each exposure, `[image, slope]`, mas: along x for
+    /// every subaperture, then along y. A MAP estimate uses them; `None` without telemetry.
     pub slopes_mas: Option<Array2<f64>>,
-    /// By how much corrections have moved the reference slopes, to which [`Images::slopes_mas`] are relative, in their order and unit; `None` for what the
-    /// scene's `wavefront_sensor.moved_reference_file` says.
+    /// By how much corrections have moved the reference slopes, to which [`Images::slopes_mas`] are
+    /// relative, in their order and unit; `None` for what the scene's
+    /// `wavefront_sensor.moved_reference_file` says.
     pub moved_reference_mas: Option<Array1<f64>>,
     /// Aberrations that simulated images were made with.
     pub truth: Option<StaticMaps>,
-    /// Unit of the pixels: those of an array without a unit are electrons, unless the scene has `image.gain_e_per_adu`.
+    /// Unit of the pixels: those of an array without a unit are electrons, unless the scene has
+    /// `image.gain_e_per_adu`.
     pub unit: PixelUnit,
     /// What the cards of the file state of the instrument. An estimate compares it with the scene.
     pub facts: Vec<HeaderFact>,
-    /// Scene in the file, as cophase writes it. An estimate compares what it says of the instrument with its own scene.
+    /// Scene in the file, as cophase writes it. An estimate compares what it says of the instrument
+    /// with its own scene.
     pub scene: Option<Scene>,
     /// Which of the two holds where the file contradicts the scene.
     pub trust: Trust,
@@ -41,7 +46,8 @@ pub struct Images {
     pub overrides: Vec<String>,
     /// Name of the channel that they are of, where the file says it.
     pub channel: Option<String>,
-    /// Sentences on what was repaired or masked when the images were read; they join the warnings of an estimate.
+    /// Sentences on what was repaired or masked when the images were read; they join the warnings
+    /// of an estimate.
     pub notes: Vec<String>,
     /// Sentences on what the file has that was not read; they join the remarks of an estimate.
     pub remarks: Vec<String>,
@@ -66,15 +72,15 @@ fn note_of_masked(count: usize) -> Option<String> {
 }
 
 impl Images {
-    /// Images `[image, y, x]` whose finite pixels are all good: electrons, or counts where the scene of the estimate has
-    /// `image.gain_e_per_adu`.
+    /// Images `[image, y, x]` whose finite pixels are all good: electrons, or counts where the
+    /// scene of the estimate has `image.gain_e_per_adu`.
     pub fn new(images_e: Array3<f64>) -> Self {
         let bad = Array3::from_elem(images_e.dim(), false);
         Self::with_bad(images_e, bad)
     }
 
-    /// [`Images::new`] with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
-    /// notes have the number of those that the mask does not have.
+    /// [`Images::new`] with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite
+    /// are bad, too, and the notes have the number of those that the mask does not have.
     pub fn with_bad(images_e: Array3<f64>, mut bad: Array3<bool>) -> Self {
         let mut non_finite = 0;
         // A mask of another shape is refused with the images.
@@ -113,12 +119,14 @@ impl Images {
         Self { unit: PixelUnit::Electrons, ..self }
     }
 
-    /// Reads a FITS file, which may be one of AOT ([`io::aot`]): images with their unit, `BADPIX` or the file `mask`, what the cards state of the instrument, the
-    /// scene (`SCENE`), the telemetry (`SLOPES_MEAN`, else `SLOPES`, and `MOVED_REFERENCE`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each
-    /// where the file has it.
+    /// Reads a FITS file, which may be one of AOT ([`io::aot`]): images with their unit, `BADPIX`
+    /// or the file `mask`, what the cards state of the instrument, the scene (`SCENE`), the
+    /// telemetry (`SLOPES_MEAN`, else `SLOPES`, and `MOVED_REFERENCE`) and the truth
+    /// (`TRUTH_PHASING`, `TRUTH_NCPA`), each where the file has it.
     ///
     /// # Errors
-    /// Those of [`io::read_images`]; [`Error::File`] for a file with the images of several channels: [`Images::read_channels`].
+    /// Those of [`io::read_images`]; [`Error::File`] for a file with the images of several
+    /// channels: [`Images::read_channels`].
     pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut channels = Self::read_channels(path, mask)?;
@@ -135,9 +143,10 @@ impl Images {
         }
     }
 
-    /// As [`Images::read`], for each channel that the file has images of, in the order of `EXTVER`, at least one. The channel has its
-    /// own scene where the file's scene has one of this name. In a file of several channels each has the telemetry with its `EXTVER`,
-    /// which is 1 where there is none.
+    /// As [`Images::read`], for each channel that the file has images of, in the order of `EXTVER`,
+    /// at least one. The channel has its own scene where the file's scene has one of this name. In
+    /// a file of several channels each has the telemetry with its `EXTVER`, which is 1 where there
+    /// is none.
     ///
     /// # Errors
     /// Those of [`io::read_channels`].
@@ -168,12 +177,15 @@ impl Images {
         each.collect()
     }
 
-    /// These images with the slopes of the wavefront sensor in the FITS file `path` in place of their own: a row for each image, in the order
-    /// and unit of the scene's `[wavefront_sensor]`; NaN for images without telemetry. They are in the HDU that `FILE[HDU]` names, else in
-    /// `SLOPES_MEAN`, else in `SLOPES`, else in the first image, with `MOVED_REFERENCE` where the file is read as a whole; of a file of AOT ([`io::aot`]) those of its exposures are taken.
+    /// These images with the slopes of the wavefront sensor in the FITS file `path` in place of
+    /// their own: a row for each image, in the order and unit of the scene's `[wavefront_sensor]`;
+    /// NaN for images without telemetry. They are in the HDU that `FILE[HDU]` names, else in
+    /// `SLOPES_MEAN`, else in `SLOPES`, else in the first image, with `MOVED_REFERENCE` where the
+    /// file is read as a whole; of a file of AOT ([`io::aot`]) those of its exposures are taken.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that cannot be read, or whose number of rows is another than that of the images.
+    /// [`Error::File`] for a file that cannot be read, or whose number of rows is another than that
+    /// of the images.
     pub fn with_slopes(self, path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut file = FitsReader::open(path)?;
@@ -247,10 +259,11 @@ impl Images {
         }
     }
 
-    /// These images without their last row or column where a frame of the scene, `(rows, columns)`, has one less, and a sentence
-    /// on it.
+    /// These images without their last row or column where a frame of the scene, `(rows, columns)`,
+    /// has one less, and a sentence on it.
     ///
-    /// The frames of a scene are even. The axis is on pixel `[rows/2, columns/2]`, rounded down, which stays the same pixel.
+    /// The frames of a scene are even. The axis is on pixel `[rows/2, columns/2]`, rounded down,
+    /// which stays the same pixel.
     pub(super) fn without_odd_edge(&self, (rows, columns): (usize, usize)) -> (Cow<'_, Self>, Option<String>) {
         let (_, y, x) = self.images_e.dim();
         let edges = match (y.checked_sub(rows), x.checked_sub(columns)) {
@@ -267,7 +280,8 @@ impl Images {
     }
 
     /// # Errors
-    /// [`Error::Shape`] where mask or telemetry do not belong to the images; [`Error::Value`] for an impossible read noise.
+    /// [`Error::Shape`] where mask or telemetry do not belong to the images; [`Error::Value`] for
+    /// an impossible read noise.
     pub(super) fn check(&self) -> Result<()> {
         if self.bad.dim() != self.images_e.dim() {
             let (mask, images) = (self.bad.dim(), self.images_e.dim());
@@ -315,7 +329,8 @@ fn own_scene(scene: &Scene, name: Option<&str>) -> Option<Scene> {
 }
 
 impl StaticMaps {
-    /// The aberrations behind simulated images, in the FITS file `path`; `None` where it holds none.
+    /// The aberrations behind simulated images, in the FITS file `path`; `None` where it holds
+    /// none.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be read.
@@ -333,12 +348,14 @@ impl StaticMaps {
     }
 }
 
-/// The scene that a FITS file carries in its table `SCENE`, or a file of AOT as [`AOT_SCENE`] in its card `CONFIG`, if it has one; its relative file names refer to the file's folder.
-/// A file that is read may come from anybody: its scene names files in or below its own folder only, except under keys that `is_accepted` accepts.
+/// The scene that a FITS file carries in its table `SCENE`, or a file of AOT as [`AOT_SCENE`] in
+/// its card `CONFIG`, if it has one; its relative file names refer to the file's folder. A file
+/// that is read may come from anybody: its scene names files in or below its own folder only,
+/// except under keys that `is_accepted` accepts.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read, a table that is not a valid scene, and a scene that names a file which is there, but outside of the
-/// folder.
+/// [`Error::File`] for a file that cannot be read, a table that is not a valid scene, and a scene
+/// that names a file which is there, but outside of the folder.
 pub fn embedded_scene(path: &Path, is_accepted: impl Fn(&str) -> bool) -> Result<Option<Scene>> {
     let mut file = FitsReader::open(path)?;
     let (text, place) = if io::aot::is_aot(&file) {
@@ -363,8 +380,8 @@ fn moved_reference(file: &mut FitsReader) -> Result<Option<Array1<f64>>> {
     is_there.then(|| file.row(Some(MOVED_REFERENCE)).map(Array1::from)).transpose()
 }
 
-/// Telemetry of the images `read` in a file, if it has any: of a file of AOT that of their times; else, where the file has the images of
-/// several channels, that with their EXTVER.
+/// Telemetry of the images `read` in a file, if it has any: of a file of AOT that of their times;
+/// else, where the file has the images of several channels, that with their EXTVER.
 fn slopes(file: &mut FitsReader, read: &io::HduImages) -> Result<MatchedSlopes> {
     if io::aot::is_aot(file) {
         return io::aot::slopes(file, usize::try_from(read.version - 1).unwrap_or(0), read.data.dim().0);

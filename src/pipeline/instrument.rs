@@ -1,11 +1,13 @@
-//! Keys of a scene that describe the instrument behind an image: two scenes of one image agree in them.
+//! Keys of a scene that describe the instrument behind an image: two scenes of one image agree in
+//! them.
 
 use crate::scene::{Scene, Setting, SettingValue};
 
 /// Key of the side of the pupil's grid, by default the pupil's width.
 const GRID: &str = "pupil.grid_m";
 
-/// Equality up to the rounding of a number that is written with seven digits: a millionth of the scale is no pixel in any image.
+/// Equality up to the rounding of a number that is written with seven digits: a millionth of the
+/// scale is no pixel in any image.
 fn agrees(one: &SettingValue, other: &SettingValue) -> bool {
     match (one.number(), other.number()) {
         (Some(a), Some(b)) => (a - b).abs() <= 1e-6 * a.abs().max(b.abs()),
@@ -13,8 +15,8 @@ fn agrees(one: &SettingValue, other: &SettingValue) -> bool {
     }
 }
 
-/// Values of the keys that describe the instrument. Keys that do not apply, such as hexagons where the pupil comes from a file,
-/// are left out; what a file holds is not compared.
+/// Values of the keys that describe the instrument. Keys that do not apply, such as hexagons where
+/// the pupil comes from a file, are left out; what a file holds is not compared.
 fn values(scene: &Scene) -> Vec<Setting> {
     let (pupil, image) = (&scene.pupil, &scene.image);
     let mut keys = vec![
@@ -53,8 +55,9 @@ fn values(scene: &Scene) -> Vec<Setting> {
     keys.into_iter().filter_map(|key| scene.setting(key).or_else(|| of_extent(key))).collect()
 }
 
-/// Keys in which the scene of an image file differs from `scene`, with the scene's value and the file's. A key that only one of
-/// them has, because the other reads a map from a file, is no difference.
+/// Keys in which the scene of an image file differs from `scene`, with the scene's value and the
+/// file's. A key that only one of them has, because the other reads a map from a file, is no
+/// difference.
 pub(super) fn differences(scene: &Scene, of_file: &Scene) -> Vec<[Setting; 2]> {
     let ours = values(scene);
     let both = values(of_file).into_iter().filter_map(|theirs| {

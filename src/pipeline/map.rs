@@ -1,5 +1,5 @@
-//! Maximum a posteriori (MAP) estimate: the wavefront behind each exposure of a sequence, and the static errors that all
-//! share.
+//! Maximum a posteriori (MAP) estimate: the wavefront behind each exposure of a sequence, and the
+//! static errors that all share.
 
 use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
 use super::estimate::{Basis, Estimate, Figures, MapSummary, MethodResult, OpticalParameter, Run};
@@ -21,20 +21,22 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate};
 use std::time::Instant;
 
-/// Largest reduced χ² of images that the model explains except for turbulence finer than its samples: with a bright star 1.4 to
-/// 1.6 in frozen exposures, 4.2 in exposures of 10 ms; square pixels modelled as points make it 8. That is at
-/// [`EXPLAINED_AT_NM`].
+/// Largest reduced χ² of images that the model explains except for turbulence finer than its
+/// samples: with a bright star 1.4 to 1.6 in frozen exposures, 4.2 in exposures of 10 ms; square
+/// pixels modelled as points make it 8. That is at [`EXPLAINED_AT_NM`].
 const EXPLAINED: f64 = 6.0;
 const EXPLAINED_AT_NM: f64 = 2168.6;
-/// Largest ratio of the excess over 1 that is explained in another wavelength; that of 1.64 µm is 3. The light that turbulence scatters
-/// grows as λ⁻², and the excess as its square: of 25 images each behind Keck's loop, at one resolution, those at 2.17 µm have a χ² of 4
-/// and those at 1.64 µm 14.
+/// Largest ratio of the excess over 1 that is explained in another wavelength; that of 1.64 µm is
+/// 3. The light that turbulence scatters grows as λ⁻², and the excess as its square: of 25 images
+/// each behind Keck's loop, at one resolution, those at 2.17 µm have a χ² of 4 and those at 1.64 µm
+/// 14.
 const LARGEST_RATIO: f64 = 4.0;
-/// Least reduced χ² of images in electrons: over thousands of pixels it scatters by 0.02 about 1 or more. Counts of 20 electrons each that
-/// are read as electrons give 0.05 to 0.1.
+/// Least reduced χ² of images in electrons: over thousands of pixels it scatters by 0.02 about 1 or
+/// more. Counts of 20 electrons each that are read as electrons give 0.05 to 0.1.
 const LEAST_EXPLAINED: f64 = 0.8;
 
-/// Measured slopes `[image, slope]` in mas and in the order of the scene's sensor; `None` where they are given so.
+/// Measured slopes `[image, slope]` in mas and in the order of the scene's sensor; `None` where
+/// they are given so.
 fn slopes_in_mas(scene: &Scene, measured: &Array2<f64>) -> Result<Option<Array2<f64>>> {
     let Some(sensing) = &scene.wavefront_sensor else { return Ok(None) };
     let reference = reference_slopes(scene, sensing, measured.ncols())?;
@@ -52,8 +54,8 @@ fn slope_format(scene: &Scene, sensing: &SensorScene) -> Result<SlopeFormat> {
     SlopeFormat::new(sensing, &Lenslets::new(sensing, &pupil, scene.directory())?)
 }
 
-/// By how much corrections have moved the reference slopes, mas and in the order of the scene's sensor: what its file says, else what the images'
-/// file does, `given`.
+/// By how much corrections have moved the reference slopes, mas and in the order of the scene's
+/// sensor: what its file says, else what the images' file does, `given`.
 fn moved_reference_mas(scene: &Scene, given: Option<&Array1<f64>>) -> Result<Option<Array1<f64>>> {
     let Some(sensing) = &scene.wavefront_sensor else { return Ok(None) };
     if given.is_none() && sensing.moved_reference_file.is_none() {
@@ -65,7 +67,8 @@ fn moved_reference_mas(scene: &Scene, given: Option<&Array1<f64>>) -> Result<Opt
     Ok(named.or_else(|| given.map(|rows| rows.row(0).to_owned())))
 }
 
-/// Estimates the static errors behind the exposures of all `channels` of `scene`, whose slopes are used where it says so.
+/// Estimates the static errors behind the exposures of all `channels` of `scene`, whose slopes are
+/// used where it says so.
 ///
 /// # Errors
 /// Those of [`sequence::estimate`]; [`Error::Shape`] for slopes of another number of exposures.
@@ -202,7 +205,8 @@ fn telemetry(channels: &[&ChannelImages], is_simultaneous: bool) -> Result<(Opti
     }
 }
 
-/// Excess of χ² over 1 that turbulence leaves in images of `scene`, over that at [`EXPLAINED_AT_NM`].
+/// Excess of χ² over 1 that turbulence leaves in images of `scene`, over that at
+/// [`EXPLAINED_AT_NM`].
 fn excess_ratio(scene: &Scene) -> f64 {
     (EXPLAINED_AT_NM / scene.image.wavelength_nm).powi(4).clamp(1.0, LARGEST_RATIO)
 }

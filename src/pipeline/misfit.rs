@@ -1,5 +1,5 @@
-//! Likely cause of a misfit, from the structure of an image and of its residual: saturated pixels, a second star, a non-linear detector,
-//! a blur, another plate scale.
+//! Likely cause of a misfit, from the structure of an image and of its residual: saturated pixels,
+//! a second star, a non-linear detector, a blur, another plate scale.
 
 use super::modal_task::ModalTask;
 use super::residual_shape::Residual;
@@ -14,22 +14,27 @@ use ndarray::{Array2, ArrayView2, Axis};
 pub(super) const TOP: f64 = 0.995;
 /// Fewest pixels at the top of a saturated image: noise and a peak between pixels make one or two.
 const SATURATED_PIXELS: usize = 4;
-/// Part of the excess of χ² that a shape of the residual must explain. The right one explains 95 % or more of companions of 1 and 33 %, of a
-/// response that falls by 2 % and of square pixels, 60 % of a filter of 1.5 % taken for none; of all other faults among the hard cases
-/// (tilts, reflectivities, NCPA of high order, shadows, rotation, another telescope) no shape explains more than 16 %; of a plate scale that
-/// is 5 % wrong a blur explains 53 %.
+/// Part of the excess of χ² that a shape of the residual must explain. The right one explains 95 %
+/// or more of companions of 1 and 33 %, of a response that falls by 2 % and of square pixels, 60 %
+/// of a filter of 1.5 % taken for none; of all other faults among the hard cases (tilts,
+/// reflectivities, NCPA of high order, shadows, rotation, another telescope) no shape explains more
+/// than 16 %; of a plate scale that is 5 % wrong a blur explains 53 %.
 const EXPLAINED_BY_SHAPE: f64 = 0.5;
-/// Most derivatives that are held, 160 MB; shapes of the residual of a larger model are compared with what the modes absorb of them.
+/// Most derivatives that are held, 160 MB; shapes of the residual of a larger model are compared
+/// with what the modes absorb of them.
 const MAX_DERIVATIVES: usize = 20_000_000;
 
-/// Largest part of χ² beyond 1 that may be left where an optical parameter is the cause. A plate scale that is 1 to 10 % wrong leaves
-/// 0.2 % at most (Keck and seven hexagons, peak S/N of 50 to 1,000). Of saturation, companions of 1 and 5 %, a non-linear
-/// detector (10 %), a gradient, another obscuration, spiders, a filter of 5 %, square pixels and unmodelled aberrations it leaves
-/// 89 % or more, of gaps of 3 cm in place of 3 mm 52 %.
+/// Largest part of χ² beyond 1 that may be left where an optical parameter is the cause. A plate
+/// scale that is 1 to 10 % wrong leaves 0.2 % at most (Keck and seven hexagons, peak S/N of 50 to
+/// 1,000). Of saturation, companions of 1 and 5 %, a non-linear detector (10 %), a gradient,
+/// another obscuration, spiders, a filter of 5 %, square pixels and unmodelled aberrations it
+/// leaves 89 % or more, of gaps of 3 cm in place of 3 mm 52 %.
 const LEFT_BY_OPTIC: f64 = 0.1;
-/// Largest change of an optical parameter that is tried, as a fraction: the fit reaches a few per cent beyond.
+/// Largest change of an optical parameter that is tried, as a fraction: the fit reaches a few per
+/// cent beyond.
 const LARGEST_CHANGE: f64 = 0.25;
-/// Largest side of a frame for which another value is tried, pixels: it is fitted without reducing the image, some ten times.
+/// Largest side of a frame for which another value is tried, pixels: it is fitted without reducing
+/// the image, some ten times.
 const MAX_TRIED_PIXELS: usize = 512;
 
 /// An image that the model does not explain.
@@ -54,8 +59,9 @@ impl Case<'_> {
         let bad = self.task.images.bad.index_axis(Axis(0), self.image);
         // Detector pixels along a side of a model pixel.
         let native = self.model.preparation.native_along(0);
-        // Another plate scale is a cause only where it explains nearly all. It comes before the shapes of the residual, one of which may
-        // explain half of the residual of a wrong plate scale.
+        // Another plate scale is a cause only where it explains nearly all. It comes before the
+        // shapes of the residual, one of which may explain half of the residual of a wrong plate
+        // scale.
         let cause = match saturation(&found.compared, frame_e, bad) {
             Some(cause) => Some(cause),
             None => match self.other_optic(found)? {
@@ -71,7 +77,8 @@ impl Case<'_> {
         Residual::new(&found.compared, self.model.preparation.native_along(0), self.derivatives(found))
     }
 
-    /// Derivatives of the image by the fitted modes, `[mode, pixel]`; none of a model that is too large.
+    /// Derivatives of the image by the fitted modes, `[mode, pixel]`; none of a model that is too
+    /// large.
     fn derivatives(&self, found: &ModalEstimate) -> Array2<f64> {
         let linear = self.chain.linearise(found.image_coefficients_nm.row(self.image));
         let (modes, pixels) = (linear.modes(), linear.pixels());
@@ -133,12 +140,13 @@ impl Case<'_> {
         }))
     }
 
-    /// The diversity that was fitted as NCPA, as a fraction of the scene's diversity: Σ A·w·d / Σ A·d², with w the NCPA, d the
-    /// diversity and A the amplitude.
+    /// The diversity that was fitted as NCPA, as a fraction of the scene's diversity: Σ A·w·d / Σ
+    /// A·d², with w the NCPA, d the diversity and A the amplitude.
     ///
-    /// The spot of a diversity d has the shape of d's gradient, so a spot that is larger by a fraction than the scene's plate
-    /// scale says is fitted as that fraction of d. Of Keck's defocus of 1.5 waves a plate scale that is 5, 10 and 20 % wrong
-    /// leaves 4.0, 8 and 16 %: what remains is within the reach of the fit.
+    /// The spot of a diversity d has the shape of d's gradient, so a spot that is larger by a
+    /// fraction than the scene's plate scale says is fitted as that fraction of d. Of Keck's
+    /// defocus of 1.5 waves a plate scale that is 5, 10 and 20 % wrong leaves 4.0, 8 and 16 %: what
+    /// remains is within the reach of the fit.
     fn fitted_diversity(&self, found: &ModalEstimate) -> f64 {
         let Self { model, diversity, .. } = self;
         if !diversity.is_spanned() {
@@ -187,8 +195,8 @@ impl OtherOptic {
     }
 }
 
-/// A shape that explains the residual, as a sentence's end. `native` is the number of detector pixels along a side of a model pixel,
-/// `derivatives` those of the image by the fitted modes.
+/// A shape that explains the residual, as a sentence's end. `native` is the number of detector
+/// pixels along a side of a model pixel, `derivatives` those of the image by the fitted modes.
 fn shape(fitted: &FittedImage, native: f64, derivatives: Array2<f64>) -> Option<String> {
     let shape = Residual::new(fitted, native, derivatives)?.shape();
     shape.filter(|shape| shape.share > EXPLAINED_BY_SHAPE).map(|shape| shape.sentence)

@@ -1,4 +1,5 @@
-//! Pipeline: images in, one [`Estimate`] out, by one [`Policy`]; what the program, Rust, C, Python and MATLAB all call.
+//! Pipeline: images in, one [`Estimate`] out, by one [`Policy`]; what the program, Rust, C, Python
+//! and MATLAB all call.
 //!
 //! ```text
 //! Scene ─ Telescope ─ Model ┐
@@ -6,9 +7,10 @@
 //! Images (frames, masks) ───┘             (one Policy)
 //! ```
 //!
-//! A modal estimate fits static modes to each image and combines the images; a maximum a posteriori (MAP) estimate
-//! (`estimate.method = "full-phase"`) retrieves the whole wavefront behind each exposure of a sequence and separates the
-//! static errors from the turbulence. Both end in the same type.
+//! A modal estimate fits static modes to each image and combines the images; a maximum a posteriori
+//! (MAP) estimate (`estimate.method = "full-phase"`) retrieves the whole wavefront behind each
+//! exposure of a sequence and separates the static errors from the turbulence. Both end in the same
+//! type.
 
 mod absolute_pistons;
 mod channels;

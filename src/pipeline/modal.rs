@@ -1,4 +1,5 @@
-//! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and remarks.
+//! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and
+//! remarks.
 
 use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::modal_task::Fitted;
@@ -97,7 +98,8 @@ fn added_modes(recipe: &modal::Recipe, selected: Option<&str>) -> String {
     }
 }
 
-/// Expected RMS over the pupil of errors of the coefficients, piston, tip and tilt removed as in a residual.
+/// Expected RMS over the pupil of errors of the coefficients, piston, tip and tilt removed as in a
+/// residual.
 pub(super) struct ExpectedErrors {
     gram: MapGram,
     groups: Vec<Group>,
@@ -121,7 +123,8 @@ impl ExpectedErrors {
     }
 }
 
-/// Terms of the covariance: the part that the images average out, and the errors that all of them share.
+/// Terms of the covariance: the part that the images average out, and the errors that all of them
+/// share.
 fn error_budget(
     errors: &ExpectedErrors,
     fitter: &modal::ModalFitter,

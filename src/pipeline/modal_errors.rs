@@ -74,8 +74,9 @@ impl ModalErrors<'_> {
     }
 }
 
-/// What `corrections` change of the coefficients of `model`, nm: pistons about their mean over the pupil, as they are reported, and the part of
-/// the mirror's surface that the NCPA modes represent, by least squares over the pupil with piston, tip and tilt, which are no modes.
+/// What `corrections` change of the coefficients of `model`, nm: pistons about their mean over the
+/// pupil, as they are reported, and the part of the mirror's surface that the NCPA modes represent,
+/// by least squares over the pupil with piston, tip and tilt, which are no modes.
 pub(super) fn change_by(scene: &Scene, model: &modal::Model, corrections: &Corrections) -> Result<Vec<f64>> {
     let pupil = &model.telescope.pupil;
     let mut change_nm = vec![0.0; model.basis.len()];

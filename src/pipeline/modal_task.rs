@@ -1,4 +1,5 @@
-//! Modal fits of the images of one channel: by its scene, by an extension of it, and from another start.
+//! Modal fits of the images of one channel: by its scene, by an extension of it, and from another
+//! start.
 
 use super::consistency::Electrons;
 use super::model_selection::Selected;
@@ -71,7 +72,8 @@ impl ModalTask<'_> {
         Ok(Fitted { fit: (fitter, found), scene, selected: None, cause: None, changes: None, model_seconds })
     }
 
-    /// Fits the images again from `start_nm`, and keeps the fit that explains them better; whether that is the new one.
+    /// Fits the images again from `start_nm`, and keeps the fit that explains them better; whether
+    /// that is the new one.
     ///
     /// # Errors
     /// Those of [`ModalFitter::estimate`].
@@ -107,7 +109,8 @@ impl ModalTask<'_> {
         Chain::open_shared(model.optics.clone(), estimate.device.into(), estimate.precision().into(), capacity)
     }
 
-    /// Fit of all images by `scene`, which is that of the task or an extension of it; fits that `series` have are taken.
+    /// Fit of all images by `scene`, which is that of the task or an extension of it; fits that
+    /// `series` have are taken.
     pub(super) fn fit_by(&self, scene: &Scene, series: Option<&mut FitSeries>) -> Result<ModalFit> {
         let fitter = self.fitter(scene)?;
         let mut chain = self.begin(&fitter, self.images.len())?;
@@ -141,13 +144,14 @@ impl ModalTask<'_> {
         self.open(fitter)
     }
 
-    /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene fits would not lower χ² enough in a
-    /// first step.
+    /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene
+    /// fits would not lower χ² enough in a first step.
     pub(super) fn fit_one(&self, scene: &Scene, image: usize) -> Result<Option<ModalFit>> {
         let cube = self.cube();
         let only = ndarray::s![image..=image, .., ..];
         let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
-        // A model that explains the image does so at its first minimum; restarts of the others would take most of the time.
+        // A model that explains the image does so at its first minimum; restarts of the others
+        // would take most of the time.
         let (recipe, control) = (Recipe { restarts: 0, ..self.policy.recipe(scene) }, &self.control.silent());
         let mut open = |fitter: &ModalFitter| {
             let optics = fitter.model().optics.clone();

@@ -1,12 +1,15 @@
-//! Model selection: modes, reflectivities and shadows that the scene does not name, where what it names does not explain the images.
+//! Model selection: modes, reflectivities and shadows that the scene does not name, where what it
+//! names does not explain the images.
 //!
-//! An image decides between models by the Bayesian information criterion (BIC, Schwarz's criterion): with N pixels of known noise and k parameters, −2 ln of the probability
-//! of the image given the model is χ² + k ln N up to terms that do not grow with N, because the image narrows each parameter
-//! by a factor that goes with 1/√N (Laplace's approximation; Schwarz, Annals of Statistics 6, 1978). Where the best model has a
-//! reduced χ² above 1 no model is exact, and all χ² are divided by it.
+//! An image decides between models by the Bayesian information criterion (BIC, Schwarz's
+//! criterion): with N pixels of known noise and k parameters, −2 ln of the probability of the image
+//! given the model is χ² + k ln N up to terms that do not grow with N, because the image narrows
+//! each parameter by a factor that goes with 1/√N (Laplace's approximation; Schwarz, Annals of
+//! Statistics 6, 1978). Where the best model has a reduced χ² above 1 no model is exact, and all χ²
+//! are divided by it.
 //!
-//! Only an image that the scene's model does not explain is tried, so that others pay nothing. An extension is adopted where it
-//! leaves almost nothing of the residual: the wrong modes do not.
+//! Only an image that the scene's model does not explain is tried, so that others pay nothing. An
+//! extension is adopted where it leaves almost nothing of the residual: the wrong modes do not.
 
 use super::policy::Policy;
 use crate::control::Control;
@@ -14,21 +17,24 @@ use crate::modal::{ModalEstimate, ModalFitter, Status};
 use crate::scene::{ModelChoice, NcpaBasis, NollRange, Optic, Optimizer, Scene, Sections, SegmentModes};
 use crate::{Error, Result};
 
-/// Largest part of χ² beyond 1 that an adopted extension may leave. The right one leaves 0.1 % or less (segment tilts of 30 nm, white NCPA to
-/// Noll 200, reflectivities of 5 %, a spider of 2.5 cm, an obscuration of 2.5 m; Keck, peak S/N of 500). Of a plate scale 1 % off, a filter
-/// of 5 %, square pixels, reflectivities or a spider tilts leave 97 % or more and Zernikes 96 % or more.
+/// Largest part of χ² beyond 1 that an adopted extension may leave. The right one leaves 0.1 % or
+/// less (segment tilts of 30 nm, white NCPA to Noll 200, reflectivities of 5 %, a spider of 2.5 cm,
+/// an obscuration of 2.5 m; Keck, peak S/N of 500). Of a plate scale 1 % off, a filter of 5 %,
+/// square pixels, reflectivities or a spider tilts leave 97 % or more and Zernikes 96 % or more.
 const MOST_LEFT: f64 = 0.1;
-/// Part of χ² beyond 1 that an extension must remove for a larger one of the same kind, or one of the other kind beside it, to be
-/// tried: of NCPA to Noll 200 the Zernikes to 91 remove 57 %.
+/// Part of χ² beyond 1 that an extension must remove for a larger one of the same kind, or one of
+/// the other kind beside it, to be tried: of NCPA to Noll 200 the Zernikes to 91 remove 57 %.
 const WORTH_EXTENDING: f64 = 0.3;
-/// Last Noll indices of Zernikes that are added, in turn: radial orders 12 and 19, where three or four periods cross a segment of Keck.
+/// Last Noll indices of Zernikes that are added, in turn: radial orders 12 and 19, where three or
+/// four periods cross a segment of Keck.
 const LAST_NOLL: [usize; 2] = [91, 210];
-/// Samples of the model with those Zernikes relative to those of the scene's pupil: with 120 samples of Keck white NCPA of these
-/// orders leave a reduced χ² of 1.35 and 2.2 (peak S/N of 500), with these 0.99 and 1.02.
+/// Samples of the model with those Zernikes relative to those of the scene's pupil: with 120
+/// samples of Keck white NCPA of these orders leave a reduced χ² of 1.35 and 2.2 (peak S/N of 500),
+/// with these 0.99 and 1.02.
 const FINER: [f64; 2] = [4.0 / 3.0, 5.0 / 3.0];
 
-/// Width of a spider's vanes, m, and diameter of an obscuration relative to the pupil, from which their fits start: a few iterations from
-/// those of real telescopes (2 to 5 cm, 0.1 to 0.3).
+/// Width of a spider's vanes, m, and diameter of an obscuration relative to the pupil, from which
+/// their fits start: a few iterations from those of real telescopes (2 to 5 cm, 0.1 to 0.3).
 const SPIDER_M: f64 = 0.01;
 const OBSCURATION: f64 = 0.2;
 
@@ -43,7 +49,8 @@ pub(super) enum Extension {
     Fitted(Optic),
 }
 
-/// Optical parameters that are tried. Others that may be wrong are the instrument's, and for the user to change.
+/// Optical parameters that are tried. Others that may be wrong are the instrument's, and for the
+/// user to change.
 const FITTED: [Optic; 3] = [Optic::REFLECTIVITIES, Optic::SPIDERS, Optic::OBSCURATION];
 
 impl Extension {
@@ -121,7 +128,8 @@ impl Fit {
         (self.reduced_chi2 - 1.0).max(0.0) / (from.reduced_chi2 - 1.0)
     }
 
-    /// Schwarz's criterion of the module, for an image of `pixels` pixels and noise variances that are `scale` times as large as stated.
+    /// Schwarz's criterion of the module, for an image of `pixels` pixels and noise variances that
+    /// are `scale` times as large as stated.
     fn criterion(&self, pixels: f64, scale: f64) -> f64 {
         let (chi2, k) = (self.reduced_chi2 * (pixels - self.parameters as f64), self.parameters as f64);
         chi2 / scale + k * pixels.ln()
@@ -135,7 +143,8 @@ struct Trial {
     fit: Fit,
 }
 
-/// Fits a scene to one image; `None` where the optical parameters that are to be fitted would not lower χ² enough.
+/// Fits a scene to one image; `None` where the optical parameters that are to be fitted would not
+/// lower χ² enough.
 pub(super) type FitOne<'a> = dyn FnMut(&Scene) -> Result<Option<(ModalFitter, ModalEstimate)>> + 'a;
 
 /// A model that explains images which that of the scene does not.
@@ -160,8 +169,8 @@ pub(super) fn may_extend(scene: &Scene, policy: &Policy) -> bool {
         && !matches!(scene.modes.ncpa, NcpaBasis::File(_) | NcpaBasis::None)
 }
 
-/// Looks for a model that explains an image which a fit of `scene` does not explain: the fit, the image's number in it, and the
-/// image's name for reports. `fit` fits a scene to that image.
+/// Looks for a model that explains an image which a fit of `scene` does not explain: the fit, the
+/// image's number in it, and the image's name for reports. `fit` fits a scene to that image.
 ///
 /// # Errors
 /// [`Error::Interrupted`].
@@ -253,7 +262,8 @@ mod tests {
         Fit { reduced_chi2, parameters, is_explained: reduced_chi2 < 1.2 }
     }
 
-    /// Names of the extensions of the trials that were made, for an image with these χ² by extension, and the best of them.
+    /// Names of the extensions of the trials that were made, for an image with these χ² by
+    /// extension, and the best of them.
     fn tried(chi2: impl Fn(&Scene) -> Option<f64>) -> (Vec<String>, Option<String>) {
         let scene = Scene::preset("keck-artificial").unwrap();
         let trials = trials(&scene, &fit(100.0, 120), &mut |scene| {
@@ -316,7 +326,8 @@ mod tests {
             scene: Scene::preset("keck-artificial").unwrap(),
             fit: fit(reduced_chi2, parameters),
         };
-        // 119 parameters more at 10,000 pixels must lower χ² by 119 ln N = 1,096: reduced χ² by more than 0.1.
+        // 119 parameters more at 10,000 pixels must lower χ² by 119 ln N = 1,096: reduced χ² by
+        // more than 0.1.
         let (few, many) = (Extension::ZernikesTo(91), Extension::ZernikesTo(210));
         let chosen =
             |chi2: [f64; 2]| best(&[trial(chi2[0], 200, few), trial(chi2[1], 319, many)], 1e4).unwrap().extensions[0];

@@ -1,9 +1,12 @@
-//! Plan of an observation of an artificial source: which defocuses, wavelengths and exposures reach an error.
+//! Plan of an observation of an artificial source: which defocuses, wavelengths and exposures reach
+//! an error.
 //!
-//! Each candidate is simulated once, with the star of the scene at the same number of electrons an exposure, and estimated as its images
-//! would be. Its error bars are from the Fisher information of its images, and fall with the root of the number of exposures; errors that
-//! all images share (`estimate.diversity_error`) do not. A candidate whose estimate is flagged, or whose residual is beyond three
-//! error bars, is not recommended: it does not find the wavefront of the scene's `[aberrations]`.
+//! Each candidate is simulated once, with the star of the scene at the same number of electrons an
+//! exposure, and estimated as its images would be. Its error bars are from the Fisher information
+//! of its images, and fall with the root of the number of exposures; errors that all images share
+//! (`estimate.diversity_error`) do not. A candidate whose estimate is flagged, or whose residual is
+//! beyond three error bars, is not recommended: it does not find the wavefront of the scene's
+//! `[aberrations]`.
 
 use super::estimate::Estimate;
 use super::estimator::Estimator;
@@ -15,15 +18,17 @@ use crate::statics::ErrorTerm;
 use crate::{Error, Result, source};
 use std::path::Path;
 
-/// Defocuses that are tried, waves RMS over the pupil. For Keck at one number of electrons, error bars from 0.5 to 2 are within a fifth of
-/// each other; at 3 the light spreads beyond what 120 samples of the pupil hold.
+/// Defocuses that are tried, waves RMS over the pupil. For Keck at one number of electrons, error
+/// bars from 0.5 to 2 are within a fifth of each other; at 3 the light spreads beyond what 120
+/// samples of the pupil hold.
 const DEFOCUS_WAVES: [f64; 5] = [0.5, 1.0, 1.5, 2.0, 3.0];
 /// Most exposures of a channel that are proposed.
 const MOST_EXPOSURES: f64 = 10_000.0;
 /// Error bars beyond which a residual is not that of its noise.
 const BEYOND: f64 = 3.0;
-/// Least difference of two combinations of whole wavelengths, in standard deviations, at which they count as distinct: noise takes one
-/// for the other beyond half of it, in seven of a million segments.
+/// Least difference of two combinations of whole wavelengths, in standard deviations, at which they
+/// count as distinct: noise takes one for the other beyond half of it, in seven of a million
+/// segments.
 const DISTINCT: f64 = 9.0;
 
 /// One way to observe.
@@ -33,7 +38,8 @@ pub struct Observation {
     pub channels: Vec<(f64, f64)>,
     /// Exposures of each channel that reach the budget; `None` where no number up to 10,000 does.
     pub exposures: Option<usize>,
-    /// Electrons of the star in all exposures of all channels; of one exposure each where the budget is not reached.
+    /// Electrons of the star in all exposures of all channels; of one exposure each where the
+    /// budget is not reached.
     pub electrons: f64,
     /// Electrons of the brightest pixel of an exposure.
     pub peak_e: f64,
@@ -82,13 +88,14 @@ impl ObservationPlan {
     }
 }
 
-/// Plans the observation of an artificial source: of the telescope, star and camera of `scene`, through filters of `wavelengths_nm`
-/// (those of the scene's channels where there are none), so that phasing and NCPA are each known to `budget_nm`. A candidate is a step of
-/// the progress.
+/// Plans the observation of an artificial source: of the telescope, star and camera of `scene`,
+/// through filters of `wavelengths_nm` (those of the scene's channels where there are none), so
+/// that phasing and NCPA are each known to `budget_nm`. A candidate is a step of the progress.
 ///
 /// # Errors
-/// [`Error::Value`] for a budget or a wavelength that is not positive, [`Error::Scene`] for a scene with an AO loop or with a diversity
-/// from a file, [`Error::Interrupted`] where `control` was cancelled, and those of the estimator.
+/// [`Error::Value`] for a budget or a wavelength that is not positive, [`Error::Scene`] for a scene
+/// with an AO loop or with a diversity from a file, [`Error::Interrupted`] where `control` was
+/// cancelled, and those of the estimator.
 pub fn plan_observation(
     scene: &Scene,
     wavelengths_nm: &[f64],
@@ -119,7 +126,8 @@ pub fn plan_observation(
     Ok(ObservationPlan { budget_nm, observations })
 }
 
-/// The sets of channels that are tried: one image, a pair on both sides of the focus, one image of each wavelength.
+/// The sets of channels that are tried: one image, a pair on both sides of the focus, one image of
+/// each wavelength.
 fn candidates(wavelengths_nm: &[f64]) -> Vec<Vec<(f64, f64)>> {
     let first_nm = wavelengths_nm[0];
     let mut found = Vec::new();
@@ -247,20 +255,22 @@ fn flaw(found: &Estimate) -> Option<String> {
     is_beyond.then(|| "the residual is beyond three error bars".into())
 }
 
-/// Squares of the errors of phasing and NCPA that exposures average, and of those that they share, nm².
+/// Squares of the errors of phasing and NCPA that exposures average, and of those that they share,
+/// nm².
 fn split(terms: &[ErrorTerm]) -> [[f64; 2]; 2] {
     let square = |term: &ErrorTerm| [term.phasing_nm.powi(2), term.ncpa_nm.powi(2)];
     let shared = terms.iter().skip(1).map(square).fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
     [terms.first().map_or([0.0; 2], square), shared]
 }
 
-/// Largest pistons about their mean whose whole wavelengths are determined by `wavelengths_nm` where each colour knows a piston to about
-/// `sigma_nm`: half a wavelength for one, and else up to where multiples of two of them come closer than nine standard deviations of
-/// their difference.
+/// Largest pistons about their mean whose whole wavelengths are determined by `wavelengths_nm`
+/// where each colour knows a piston to about `sigma_nm`: half a wavelength for one, and else up to
+/// where multiples of two of them come closer than nine standard deviations of their difference.
 fn piston_range_nm(wavelengths_nm: &[f64], sigma_nm: f64) -> f64 {
     let first_nm = wavelengths_nm[0];
     let Some(other_nm) = wavelengths_nm.iter().copied().find(|nm| *nm != first_nm) else { return first_nm / 2.0 };
-    // The joint error bar is of both colours; the difference of two has twice its standard deviation.
+    // The joint error bar is of both colours; the difference of two has twice its standard
+    // deviation.
     let least_nm = DISTINCT * 2.0 * sigma_nm;
     let miss_nm = |k: f64| (k * first_nm - other_nm * (k * first_nm / other_nm).round()).abs();
     // Two segments differ by up to twice the range.
@@ -275,7 +285,8 @@ mod tests {
     #[test]
     fn two_colours_reach_to_where_their_multiples_meet() {
         assert_eq!(piston_range_nm(&[2000.0, 2000.0], 1.0), 1000.0);
-        // 3·2168.6 and 4·1640 nm differ by 54 nm: seen with 1 nm, not with 5 nm. 31·2168.6 and 41·1640 nm differ by 13.4 nm.
+        // 3·2168.6 and 4·1640 nm differ by 54 nm: seen with 1 nm, not with 5 nm. 31·2168.6 and
+        // 41·1640 nm differ by 13.4 nm.
         assert!((piston_range_nm(&[2168.6, 1640.0], 5.0) - 1.5 * 2168.6).abs() < 1e-9);
         assert!((piston_range_nm(&[2168.6, 1640.0], 1.2) - 15.5 * 2168.6).abs() < 1e-9);
     }

@@ -6,11 +6,14 @@ use crate::io::{FitsWriter, Pixel};
 use std::path::Path;
 
 impl Estimate {
-    /// Writes phasing and NCPA together as an OPD map, m, 0 outside the pupil, in the first image `OPD` with the cards `BUNIT` and
-    /// `PUPLSCAL`, and the pupil as `AMPLITUDE`: `poppy.FITSOpticalElement(opd=path)` reads the map. Axes and sign are those of the
-    /// estimate; POPPY's image of it is turned by 180 degrees, because its Fourier transform has the other sign.
+    /// Writes phasing and NCPA together as an OPD map, m, 0 outside the pupil, in the first image
+    /// `OPD` with the cards `BUNIT` and `PUPLSCAL`, and the pupil as `AMPLITUDE`:
+    /// `poppy.FITSOpticalElement(opd=path)` reads the map. Axes and sign are those of the estimate;
+    /// POPPY's image of it is turned by 180 degrees, because its Fourier transform has the other
+    /// sign.
     ///
-    /// The map holds the pistons of the segments, so there are no cards `S01PISTN`, ..., which state what a map does not hold.
+    /// The map holds the pistons of the segments, so there are no cards `S01PISTN`, ..., which
+    /// state what a map does not hold.
     ///
     /// # Errors
     /// [`Error::File`](crate::Error::File) where the file cannot be written.

@@ -1,10 +1,10 @@
-//! Orientation of images from a known poke: flips, rotation and sign under which the map of a moved segment or actuator is what the
-//! images show.
+//! Orientation of images from a known poke: flips, rotation and sign under which the map of a moved
+//! segment or actuator is what the images show.
 //!
-//! Where pupil and diversity equal their mirror images, a flipped image is the image of the flipped wavefront, and no single
-//! image determines the orientation. A poke at a known place does. With telescope coordinates x and the scene's u = g·x, the images
-//! show `E(g⁻¹u)` of an expected map E, where g is a rotation followed by flips; each g of the pupil's symmetry group is
-//! compared.
+//! Where pupil and diversity equal their mirror images, a flipped image is the image of the flipped
+//! wavefront, and no single image determines the orientation. A poke at a known place does. With
+//! telescope coordinates x and the scene's u = g·x, the images show `E(g⁻¹u)` of an expected map E,
+//! where g is a rotation followed by flips; each g of the pupil's symmetry group is compared.
 
 mod candidates;
 #[cfg(test)]
@@ -31,7 +31,8 @@ const SAME_MAP: f64 = 0.97;
 const LEAST_CORRELATION: f64 = 0.5;
 /// Least ratio of the likelihoods of the best orientation and the next one.
 const LEAST_RATIO: f64 = 1000.0;
-/// Amplitudes, found over expected, without a warning: half or twice is a confusion of surface and wavefront.
+/// Amplitudes, found over expected, without a warning: half or twice is a confusion of surface and
+/// wavefront.
 const USUAL_AMPLITUDE: std::ops::RangeInclusive<f64> = 0.7..=1.4;
 /// Ratio of χ² from which images that are turned by 90° are explained better.
 const BETTER_TURNED: f64 = 0.5;
@@ -43,11 +44,13 @@ pub struct Orientation {
     pub best: OrientationCandidate,
     /// The next one that the poke distinguishes from it.
     pub runner_up: OrientationCandidate,
-    /// Orientations that the poke does not distinguish from the best, which is the simplest of them.
+    /// Orientations that the poke does not distinguish from the best, which is the simplest of
+    /// them.
     pub equivalent: Vec<OrientationCandidate>,
     /// Keys of the scene to set, with their values; empty where the scene's are right.
     pub settings: Vec<Setting>,
-    /// The segment or actuator that moved, if the scene has the orientation of the images; `None` for images that are turned by 90°.
+    /// The segment or actuator that moved, if the scene has the orientation of the images; `None`
+    /// for images that are turned by 90°.
     pub moved: Option<MovedPart>,
     /// What a user should know.
     pub warnings: Vec<String>,
@@ -65,17 +68,19 @@ impl Orientation {
 pub enum PokeResult {
     /// The orientation.
     Orientation(Box<Orientation>),
-    /// Another segment or actuator moved than was stated, in the scene's own orientation, which no orientation explains as well; a sentence.
+    /// Another segment or actuator moved than was stated, in the scene's own orientation, which no
+    /// orientation explains as well; a sentence.
     OtherPart(String),
     /// It does not decide; the reason.
     Undecided(String),
 }
 
-/// Finds the orientation of `after`, images behind a poke, against `before`, images without it; without those, the poke must be
-/// larger than the errors of the wavefront.
+/// Finds the orientation of `after`, images behind a poke, against `before`, images without it;
+/// without those, the poke must be larger than the errors of the wavefront.
 ///
 /// # Errors
-/// Those of [`Estimator::estimate`]; [`Error::Value`] for a poke of nothing, or of a part that the scene does not have.
+/// Those of [`Estimator::estimate`]; [`Error::Value`] for a poke of nothing, or of a part that the
+/// scene does not have.
 pub fn check_orientation(
     scene: &Scene,
     before: Option<&Images>,
@@ -127,7 +132,8 @@ pub fn check_orientation(
 /// The images turned by −90° about the axis, pixel M/2: the line that wraps around is bad.
 fn turned(images: &Images) -> Images {
     let (count, rows, columns) = images.images_e.dim();
-    // u' = R(−90°)u: (u', v') = (v, −u), so the new pixel (row v', column u') has the old one of row u', column −v'.
+    // u' = R(−90°)u: (u', v') = (v, −u), so the new pixel (row v', column u') has the old one of
+    // row u', column −v'.
     let source = |row: usize, column: usize| (row > 0 && column < rows).then(|| (column, columns / 2 * 2 - row));
     let shape = (count, columns, rows);
     let at = |image: usize, row: usize, column: usize| source(row, column).map(|(v, u)| [image, v, u]);
@@ -247,7 +253,8 @@ fn selected(
     Ok(PokeResult::Orientation(Box::new(Orientation { best, runner_up, equivalent, settings, moved, warnings })))
 }
 
-/// The orientation of images that were turned by −90° before: R(90°)·F·R(θ) = F·R(±90° + θ), − for a single flip.
+/// The orientation of images that were turned by −90° before: R(90°)·F·R(θ) = F·R(±90° + θ), − for
+/// a single flip.
 fn after_quarter_turn(candidate: OrientationCandidate) -> OrientationCandidate {
     let is_mirrored = candidate.flip[0] != candidate.flip[1];
     let turn = if is_mirrored { -90.0 } else { 90.0 };

@@ -7,7 +7,8 @@ use crate::modal::ImageReport;
 pub struct ImageOutcome {
     /// Whether it was fitted, and how well.
     pub report: ImageReport,
-    /// The channel that it is of, a place in [`Estimate::channels`](super::Estimate::channels); 0 without channels.
+    /// The channel that it is of, a place in [`Estimate::channels`](super::Estimate::channels); 0
+    /// without channels.
     pub channel: usize,
     /// Why it has its status, in a sentence.
     pub message: String,

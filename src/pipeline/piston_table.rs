@@ -5,13 +5,15 @@ use crate::telescope::{SegmentPlace, likely_unit};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Reads the piston of each of the segments `places`, nm, in their order. A text table (`.txt`, `.csv`, `.dat`; [`TextTable`]) has
-/// rows of segment and piston, or columns of these names. A FITS file has them in the column `PISTON_NM` of a table
-/// `SEGMENTS`, beside a column `LABEL` or `SEGMENT`, as an estimate has; without either, in the order of the segments. Segments are
+/// Reads the piston of each of the segments `places`, nm, in their order. A text table (`.txt`,
+/// `.csv`, `.dat`; [`TextTable`]) has rows of segment and piston, or columns of these names. A FITS
+/// file has them in the column `PISTON_NM` of a table `SEGMENTS`, beside a column `LABEL` or
+/// `SEGMENT`, as an estimate has; without either, in the order of the segments. Segments are
 /// addressed by their labels ([`SegmentPlace::label`]) or, all of them, by their numbers.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read, and for one that does not have each segment once.
+/// [`Error::File`] for a file that cannot be read, and for one that does not have each segment
+/// once.
 pub fn read_pistons(path: &Path, places: &[SegmentPlace]) -> Result<Vec<f64>> {
     let is_text =
         path.extension().is_some_and(|word| ["txt", "csv", "dat"].iter().any(|text| word.eq_ignore_ascii_case(text)));
@@ -31,8 +33,8 @@ pub fn read_pistons(path: &Path, places: &[SegmentPlace]) -> Result<Vec<f64>> {
     rows.and_then(|rows| ordered(&rows, places)).map_err(|reason| Error::file(path, reason))
 }
 
-/// Segments and pistons of a text table, or why it is not accepted. Pistons are in the unit that the name of their column ends with, else
-/// in nm.
+/// Segments and pistons of a text table, or why it is not accepted. Pistons are in the unit that
+/// the name of their column ends with, else in nm.
 fn parse(text: &str) -> std::result::Result<Vec<(String, f64)>, String> {
     let table = TextTable::new(text);
     let named = table.column(&["label", "segment"]).zip(table.column(&["piston"]));

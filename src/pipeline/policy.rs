@@ -4,24 +4,27 @@ use crate::modal::{Recipe, Session};
 use crate::scene::{Scene, System};
 use crate::{Error, Result};
 
-/// Choices of an estimate. Every interface follows [`Policy::default`] unless it is given another; a
-/// [`Session`](crate::modal::Session), which has a deadline and may not allocate, follows [`Policy::realtime`].
+/// Choices of an estimate. Every interface follows [`Policy::default`] unless it is given another;
+/// a [`Session`](crate::modal::Session), which has a deadline and may not allocate, follows
+/// [`Policy::realtime`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {
-    /// Whether the Zernikes of Noll indices 22 to 45 are fitted too, with a prior whose level follows from the images, so that
-    /// the error bars include them. Without effect where the scene names `modes.exact_zernikes`.
+    /// Whether the Zernikes of Noll indices 22 to 45 are fitted too, with a prior whose level
+    /// follows from the images, so that the error bars include them. Without effect where the scene
+    /// names `modes.exact_zernikes`.
     pub prior_modes: bool,
-    /// Whether images that are reduced for the fit are searched for outlier pixels (cosmic rays, hot and dead pixels) where the
-    /// model does not explain them, and fitted again. What a fit itself rejects it always does.
+    /// Whether images that are reduced for the fit are searched for outlier pixels (cosmic rays,
+    /// hot and dead pixels) where the model does not explain them, and fitted again. What a fit
+    /// itself rejects it always does.
     pub search_outliers: bool,
-    /// Whether a fit that ended in a wrong minimum is restarted from a perturbed start, as often as `estimate.restarts`
-    /// says (6 unless named).
+    /// Whether a fit that ended in a wrong minimum is restarted from a perturbed start, as often as
+    /// `estimate.restarts` says (6 unless named).
     pub restart: bool,
-    /// Whether the optical parameters that `estimate.fit_optics` names may be fitted. Where not, a scene that names some
-    /// is an error.
+    /// Whether the optical parameters that `estimate.fit_optics` names may be fitted. Where not, a
+    /// scene that names some is an error.
     pub fit_optics: bool,
-    /// Whether the model of the scene is extended where it does not explain the images and an extension does. Not where
-    /// `estimate.model` is "scene".
+    /// Whether the model of the scene is extended where it does not explain the images and an
+    /// extension does. Not where `estimate.model` is "scene".
     pub select_model: bool,
 }
 

@@ -1,4 +1,5 @@
-//! Pupils that turn on the detector: images with one turn are those of a channel, by whose model the pupil is turned.
+//! Pupils that turn on the detector: images with one turn are those of a channel, by whose model
+//! the pupil is turned.
 
 use super::estimate::{Estimate, MethodResult, ModalSummary};
 use super::images::{Images, Trust, counted};
@@ -8,7 +9,8 @@ use ndarray::Axis;
 
 /// Key of the turns.
 const KEY: &str = "image.pupil_turns_deg";
-/// Turns that differ by no more are fitted as one: at half of that, 0.025°, the edge of a pupil of 11 m is 2 mm off, where a degree costs 11 nm.
+/// Turns that differ by no more are fitted as one: at half of that, 0.025°, the edge of a pupil of
+/// 11 m is 2 mm off, where a degree costs 11 nm.
 const RESOLUTION_DEG: f64 = 0.05;
 
 /// Images whose pupils are turned by different angles, as channels.
@@ -25,10 +27,12 @@ pub(super) struct TurnedImages {
 }
 
 impl TurnedImages {
-    /// The `images` of the channels of `given` as channels of one turn of the pupil each; `None` where the scene has one turn, or none.
+    /// The `images` of the channels of `given` as channels of one turn of the pupil each; `None`
+    /// where the scene has one turn, or none.
     ///
     /// # Errors
-    /// [`Error::Scene`] for another number of turns than of images; [`Error::Image`] for turns in the file that contradict the scene's.
+    /// [`Error::Scene`] for another number of turns than of images; [`Error::Image`] for turns in
+    /// the file that contradict the scene's.
     pub(super) fn of(given: &Scene, images: &[&Images]) -> Result<Option<Self>> {
         let own = given.each_channel();
         let turns_deg = own.iter().zip(images).map(|((_, scene), images)| turns_of(scene, images));
@@ -105,7 +109,8 @@ impl TurnedImages {
     }
 }
 
-/// Turns of the pupil in `images`, degrees: one, or one for each; `None` where there is no word of any.
+/// Turns of the pupil in `images`, degrees: one, or one for each; `None` where there is no word of
+/// any.
 fn turns_of(scene: &Scene, images: &Images) -> Result<Option<Vec<f64>>> {
     let own = scene.image.pupil_turns_deg.as_ref();
     let of_file = images.scene.as_ref().and_then(|of_file| of_file.image.pupil_turns_deg.as_ref());
@@ -159,7 +164,8 @@ struct Group {
     images: Vec<usize>,
 }
 
-/// Images whose turns differ by no more than a width, in at most `most` groups; and that width, degrees.
+/// Images whose turns differ by no more than a width, in at most `most` groups; and that width,
+/// degrees.
 fn grouped(turns_deg: &[f64], most: usize) -> (Vec<Group>, f64) {
     let mut order: Vec<usize> = (0..turns_deg.len()).collect();
     order.sort_by(|&a, &b| turns_deg[a].total_cmp(&turns_deg[b]));

@@ -10,7 +10,8 @@ use ndarray::Array2;
 /// First sentence of the remark on the diversity.
 pub(super) const ON_DIVERSITY: &str = "The NCPA depend on the scene's diversity.";
 
-/// Remark on the diversity, which holds for every image of a scene: how an error of it changes the NCPA.
+/// Remark on the diversity, which holds for every image of a scene: how an error of it changes the
+/// NCPA.
 pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -> Option<String> {
     (diversity.is_spanned() && scene.estimate.diversity_error == 0.0).then(|| {
         format!(
@@ -21,11 +22,12 @@ pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -
     })
 }
 
-/// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror images at which a flipped image
-/// looks the same: below it noise hides the difference.
+/// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror
+/// images at which a flipped image looks the same: below it noise hides the difference.
 const MIRROR_TOLERANCE: f64 = 0.02;
 
-/// Remark on the map of a pupil, finer than the default of `pupil.samples`, whose samples are averaged.
+/// Remark on the map of a pupil, finer than the default of `pupil.samples`, whose samples are
+/// averaged.
 pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Option<String> {
     let (of_file, of_model) = (telescope.truth_samples(), telescope.pupil.grid.samples());
     let is_default = matches!(scene.pupil.aperture, Aperture::File(_)) && !scene.names("pupil.samples");
@@ -37,8 +39,9 @@ pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Opt
     })
 }
 
-/// Remark on the orientation of the images: where pupil and diversity equal their mirror images a flipped image is that of the flipped wavefront. The
-/// image of A·exp(−i(W + d)), with the opposite wavefront and diversity, is the turned one of A·exp(i(W + d)) for any pupil A.
+/// Remark on the orientation of the images: where pupil and diversity equal their mirror images a
+/// flipped image is that of the flipped wavefront. The image of A·exp(−i(W + d)), with the opposite
+/// wavefront and diversity, is the turned one of A·exp(i(W + d)) for any pupil A.
 ///
 /// # Errors
 /// Those of reading the diversity.
@@ -63,7 +66,8 @@ pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result
     };
     let is_turned_equal = is_symmetric([true, true]);
     let is_flipped_equal = [[true, false], [false, true]].into_iter().any(is_symmetric);
-    // A point-symmetric pupil with an even diversity has the same image with the opposite diversity and the wavefront −W(−x, −y).
+    // A point-symmetric pupil with an even diversity has the same image with the opposite diversity
+    // and the wavefront −W(−x, −y).
     let has_diversity = map.is_some() || scene.image.diversity_focus_waves_rms != 0.0;
     let sign = match (has_diversity, is_turned_equal) {
         (false, _) => "",
@@ -95,8 +99,8 @@ pub(super) fn missing_telemetry_remark(slopes_mas: &Array2<f64>) -> Option<Strin
     })
 }
 
-/// Remarks on tilts of the segments in a MAP estimate, whose last iteration is `last`: that they were added to the model, and what images
-/// behind a loop do not show of them.
+/// Remarks on tilts of the segments in a MAP estimate, whose last iteration is `last`: that they
+/// were added to the model, and what images behind a loop do not show of them.
 pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
     let added = last.segment_tilts.filter(|_| last.has_tilts()).map(|tilts| {
         format!(

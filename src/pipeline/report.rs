@@ -14,7 +14,8 @@ impl Estimate {
         self.summary() + &warnings.collect::<String>()
     }
 
-    /// The estimate as text without its warnings: a table, the error budget, fitted optics, remarks.
+    /// The estimate as text without its warnings: a table, the error budget, fitted optics,
+    /// remarks.
     pub fn summary(&self) -> String {
         summary(self)
     }
@@ -91,8 +92,8 @@ fn table(estimate: &Estimate) -> String {
     text
 }
 
-/// Reduced χ² of a full-phase estimate from which on the report says why it is above 1: bright stars behind frozen turbulence leave 1.4 to
-/// 1.6, exposures of 10 ms 4.2.
+/// Reduced χ² of a full-phase estimate from which on the report says why it is above 1: bright
+/// stars behind frozen turbulence leave 1.4 to 1.6, exposures of 10 ms 4.2.
 const NOTABLE_CHI2: f64 = 1.1;
 
 fn quality(estimate: &Estimate) -> String {

@@ -1,9 +1,11 @@
-//! Shape of the residual of an image: the part of its χ² that a copy of the star, the square of the signal or a blur explain.
+//! Shape of the residual of an image: the part of its χ² that a copy of the star, the square of the
+//! signal or a blur explain.
 //!
-//! Each is a linear model of the residual, r = Σ cₖ·vₖ, fitted by least squares under the noise of the pixels. At the minimum of a fit
-//! the residual is orthogonal to the derivatives of the image by the fitted modes, which have absorbed a part of the cause: so the
-//! vₖ are replaced by their parts orthogonal to these derivatives. The share that a shape explains is its decrease of χ² over the
-//! excess of χ² beyond the degrees of freedom.
+//! Each is a linear model of the residual, r = Σ cₖ·vₖ, fitted by least squares under the noise of
+//! the pixels. At the minimum of a fit the residual is orthogonal to the derivatives of the image
+//! by the fitted modes, which have absorbed a part of the cause: so the vₖ are replaced by their
+//! parts orthogonal to these derivatives. The share that a shape explains is its decrease of χ²
+//! over the excess of χ² beyond the degrees of freedom.
 
 use crate::linear_algebra::SpdInverse;
 use crate::modal::FittedImage;
@@ -15,7 +17,8 @@ const LEAST_SEPARATION: usize = 3;
 const MAX_PRODUCTS: usize = 20_000_000;
 /// Copies that are fitted without what the modes absorb of them: those that explain most with it.
 const CANDIDATES: usize = 24;
-/// Regularisation of the products of derivatives, whose squares are 1: nearly degenerate modes have eigenvalues of 1e-3.
+/// Regularisation of the products of derivatives, whose squares are 1: nearly degenerate modes have
+/// eigenvalues of 1e-3.
 const RIDGE: f64 = 1e-9;
 
 /// What makes a shape.
@@ -49,7 +52,8 @@ pub(super) struct Residual {
     residual_e: Array2<f64>,
     /// Inverse variances; 0 for bad pixels and where the residual is 0, which explains nothing.
     weight: Array2<f64>,
-    /// Derivatives of the image by the fitted parameters, of unit length under the weights, `[parameter, pixel]`.
+    /// Derivatives of the image by the fitted parameters, of unit length under the weights,
+    /// `[parameter, pixel]`.
     derivatives: Array2<f64>,
     /// Inverse of their weighted products.
     inverse: Array2<f64>,
@@ -60,8 +64,9 @@ pub(super) struct Residual {
 }
 
 impl Residual {
-    /// The residual of `fitted`, whose model has these `derivatives` by its modes, `[mode, pixel]`, in any unit; the flux and the background
-    /// are added to them. `None` where they are linearly dependent.
+    /// The residual of `fitted`, whose model has these `derivatives` by its modes, `[mode, pixel]`,
+    /// in any unit; the flux and the background are added to them. `None` where they are linearly
+    /// dependent.
     pub(super) fn new(fitted: &FittedImage, native: f64, derivatives: Array2<f64>) -> Option<Self> {
         let excess = fitted.residual_sigma.iter().filter(|sigma| sigma.is_finite()).map(|sigma| sigma * sigma - 1.0);
         let excess = excess.sum::<f64>() + derivatives.nrows() as f64;
@@ -117,7 +122,8 @@ impl Residual {
         share * self.excess + columns as f64
     }
 
-    /// Coefficients of `columns` by least squares, and the share that they explain; `None` where they are linearly dependent.
+    /// Coefficients of `columns` by least squares, and the share that they explain; `None` where
+    /// they are linearly dependent.
     fn fit<const N: usize>(&self, columns: [Array2<f64>; N]) -> Option<([f64; N], f64)> {
         let columns = columns.map(|column| self.without_modes(&column));
         let product = |a: &Array2<f64>, b: &Array2<f64>| {
@@ -234,7 +240,8 @@ impl Residual {
         })
     }
 
-    /// Decrease of χ² by a copy of positive flux at a shift, on every `stride`-th pixel, with what the modes absorb of it.
+    /// Decrease of χ² by a copy of positive flux at a shift, on every `stride`-th pixel, with what
+    /// the modes absorb of it.
     fn explained_by_copy(&self, dy: isize, dx: isize, stride: usize) -> f64 {
         let size = self.star_e.nrows();
         let (mut product, mut norm) = (0.0, 0.0);

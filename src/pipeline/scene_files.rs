@@ -66,8 +66,9 @@ pub(super) fn file_states(scene: &Scene) -> Vec<FileState> {
     scene_files(scene).iter().map(|(_, path)| state(path)).collect()
 }
 
-/// Refuses a scene that names a file which does not exist under a key that `is_checked` accepts, whether or not the file is read:
-/// a misspelt name would have no effect. A map of NCPA is missed by the simulators, which read it, and not by an estimate.
+/// Refuses a scene that names a file which does not exist under a key that `is_checked` accepts,
+/// whether or not the file is read: a misspelt name would have no effect. A map of NCPA is missed
+/// by the simulators, which read it, and not by an estimate.
 ///
 /// # Errors
 /// [`Error::File`] with the name of the file and the key.
@@ -89,8 +90,9 @@ pub fn check_scene_files(scene: &Scene, is_checked: impl Fn(&str) -> bool) -> Re
     Ok(())
 }
 
-/// Refuses the scene in the file `image` where it names an existing file outside of that file's folder, under a key that `is_accepted` does not
-/// accept: it would read what its maker may not see. Files that are not there are missed where they are needed.
+/// Refuses the scene in the file `image` where it names an existing file outside of that file's
+/// folder, under a key that `is_accepted` does not accept: it would read what its maker may not
+/// see. Files that are not there are missed where they are needed.
 pub(super) fn refuse_foreign_files(scene: &Scene, image: &Path, is_accepted: impl Fn(&str) -> bool) -> Result<()> {
     // The parent of a plain name is empty.
     let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -110,7 +112,8 @@ pub(super) fn refuse_foreign_files(scene: &Scene, image: &Path, is_accepted: imp
     Ok(())
 }
 
-/// `path` from the root, without `.` and `..`. Links are as they are: who may put one beside the image may read what it points to.
+/// `path` from the root, without `.` and `..`. Links are as they are: who may put one beside the
+/// image may read what it points to.
 fn plain(path: &Path) -> Result<PathBuf> {
     let mut plain = PathBuf::new();
     for component in std::path::absolute(path).map_err(|error| Error::file(path, error))?.components() {
@@ -137,8 +140,8 @@ pub(super) fn check_file(path: &Path) -> Result<u64> {
     }
 }
 
-/// As [`check_scene_files`] of every key, for an estimate: the scene in an image file may name files of another machine, and
-/// only those that the estimate reads are missed.
+/// As [`check_scene_files`] of every key, for an estimate: the scene in an image file may name
+/// files of another machine, and only those that the estimate reads are missed.
 ///
 /// # Errors
 /// As [`check_scene_files`].

@@ -1,5 +1,6 @@
-//! Wavefronts and static errors of a sequence behind adaptive optics: maximum a posteriori (MAP) retrieval of each
-//! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
+//! Wavefronts and static errors of a sequence behind adaptive optics: maximum a posteriori (MAP)
+//! retrieval of each exposure's wavefront, and the static errors that all exposures share, in turn
+//! until nothing changes.
 
 use super::absolute_pistons::{AbsolutePistons, Colours};
 use super::policy::Policy;
@@ -38,8 +39,8 @@ pub(super) struct SequenceResult {
     pub(super) telemetry: Option<TelemetryCheck>,
     /// Optical parameters that the images show to differ from the scene's.
     pub(super) optics: RetrievedOptics,
-    /// Scene of the static errors and of corrections: with the optical parameters that were found, unless the sensor's
-    /// subapertures contradict them.
+    /// Scene of the static errors and of corrections: with the optical parameters that were found,
+    /// unless the sensor's subapertures contradict them.
     pub(super) scene: Scene,
     pub(super) device: String,
     pub(super) device_failure: Option<String>,
@@ -139,8 +140,8 @@ fn prior(scene: &Scene, ao_knowledge: AoKnowledge) -> Result<RadialPsd> {
     if ao_knowledge > AoKnowledge::Nothing {
         return RadialPsd::ao_residual(scene, StaticAberrationRms::default());
     }
-    // Ordinary seeing, r0 = 16 cm at 500 nm, above the cut-off of the mirror's pitch; below it the value at the cut-off.
-    // Kolmogorov: 0.0229·r0^(−5/3)·f^(−11/3) rad²·m².
+    // Ordinary seeing, r0 = 16 cm at 500 nm, above the cut-off of the mirror's pitch; below it the
+    // value at the cut-off. Kolmogorov: 0.0229·r0^(−5/3)·f^(−11/3) rad²·m².
     const ENTRIES: usize = 200;
     let cut_off_per_m = 0.5 / scene.mirror.pitch_m;
     let step_per_m = cut_off_per_m / 40.0;
@@ -152,8 +153,8 @@ fn prior(scene: &Scene, ao_knowledge: AoKnowledge) -> Result<RadialPsd> {
     RadialPsd::new(step_per_m, (0..ENTRIES).map(at).collect())
 }
 
-/// Largest number of images that are retrieved at a finer resolution, which takes three times as long: the residual phasing of
-/// the first ten images of a sequence is then 7.8 nm in place of 8.8.
+/// Largest number of images that are retrieved at a finer resolution, which takes three times as
+/// long: the residual phasing of the first ten images of a sequence is then 7.8 nm in place of 8.8.
 const FEW_IMAGES: usize = 40;
 /// Finer resolution over the usual one, in cycles across a segment.
 const FEW_IMAGES_RESOLUTION: f64 = 1.25;
@@ -161,11 +162,13 @@ const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 /// Estimates the static errors behind a sequence.
 ///
 /// # Errors
-/// Those of building the model; [`Error::Shape`] and [`Error::Value`] for frames or slopes that are not the scene's;
-/// [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
+/// Those of building the model; [`Error::Shape`] and [`Error::Value`] for frames or slopes that are
+/// not the scene's; [`Error::Image`] where fewer than two images can be used;
+/// [`Error::Interrupted`].
 pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let tilts = tilt_selection(sequence.channels[0].scene, sequence.policy)?;
-    // A retrieved wavefront holds the segments' tilts, so the retrieval's models need pistons alone.
+    // A retrieved wavefront holds the segments' tilts, so the retrieval's models need pistons
+    // alone.
     let piston_scenes = sequence.channels.iter().map(|channel| with_segment_modes(channel.scene, SegmentModes::Piston));
     let piston_scenes = piston_scenes.collect::<Result<Vec<_>>>()?;
     let channels: Vec<_> = piston_scenes
@@ -246,8 +249,8 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     })
 }
 
-/// The optics that `search` finds, and the scene of the static errors: with these optics, unless the slopes belong to the subapertures
-/// of `scene` only.
+/// The optics that `search` finds, and the scene of the static errors: with these optics, unless
+/// the slopes belong to the subapertures of `scene` only.
 ///
 /// # Errors
 /// Those of `search`; [`Error::Shape`] and [`Error::Value`] for slopes that belong to neither.
@@ -285,8 +288,8 @@ fn absolute_pistons(
 /// Settings of the retrieval of `exposures` exposures of `scene`.
 fn retrieval_settings(scene: &Scene, exposures: usize) -> RetrievalSettings {
     let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision().into());
-    // Pistons as separate coefficients are nearly degenerate with wavefronts that have steep edges: each image is retrieved
-    // as a wavefront alone.
+    // Pistons as separate coefficients are nearly degenerate with wavefronts that have steep edges:
+    // each image is retrieved as a wavefront alone.
     let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };
     if exposures > FEW_IMAGES {
         return usual;

@@ -1,4 +1,5 @@
-//! Check of telemetry: whether the slopes that come with the images are those of the retrieved wavefronts.
+//! Check of telemetry: whether the slopes that come with the images are those of the retrieved
+//! wavefronts.
 
 use super::images::counted;
 use crate::loop_response::{ACCEPTED_GAIN, SensorModel, SlopeRegression, TelemetryFault, USUAL_GAIN};
@@ -30,11 +31,12 @@ pub struct TelemetryCheck {
     pub(super) warnings: Vec<String>,
 }
 
-/// Compares the slopes (`[image, slope]`, mas, NaN for images without telemetry) with wavefronts (`[image, sample]`, nm, NaN for unusable images) that were
-/// retrieved without them.
+/// Compares the slopes (`[image, slope]`, mas, NaN for images without telemetry) with wavefronts
+/// (`[image, sample]`, nm, NaN for unusable images) that were retrieved without them.
 ///
 /// # Errors
-/// [`Error::Value`] for slopes that do not belong to the images, where the scene says that they are checked.
+/// [`Error::Value`] for slopes that do not belong to the images, where the scene says that they are
+/// checked.
 pub(super) fn check(
     scene: &Scene,
     samples: &IlluminatedSamples,

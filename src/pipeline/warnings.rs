@@ -89,7 +89,8 @@ fn model_warning(model: &Model) -> Option<String> {
     })
 }
 
-/// Warning on channels that contradict each other, from the reduced χ² of their differences and its degrees of freedom.
+/// Warning on channels that contradict each other, from the reduced χ² of their differences and its
+/// degrees of freedom.
 pub(super) fn contradiction_warning((chi2, freedom): (f64, f64)) -> String {
     format!(
         "the channels contradict each other: the reduced χ² of their differences is {chi2:.1} ({freedom:.0} degrees of freedom), where \
@@ -99,8 +100,9 @@ pub(super) fn contradiction_warning((chi2, freedom): (f64, f64)) -> String {
 }
 
 impl Session {
-    /// Warnings on its devices and its models, and on groups of the last fit whose channels contradict each other: sentences that a user
-    /// should read before using its results. Those on single images are in their reports.
+    /// Warnings on its devices and its models, and on groups of the last fit whose channels
+    /// contradict each other: sentences that a user should read before using its results. Those on
+    /// single images are in their reports.
     pub fn warnings(&self) -> Vec<String> {
         let (count, is_joint) = (self.results().len(), self.channels().len() > 1);
         let mut sentences = Vec::new();
@@ -150,8 +152,8 @@ fn image_warnings(found: &modal::ModalEstimate, changes: Option<f64>) -> Vec<Str
     sentences
 }
 
-/// Warning on images that change from one to the next, most of which the static modes do not explain. `changes` is the reduced
-/// χ² of their differences.
+/// Warning on images that change from one to the next, most of which the static modes do not
+/// explain. `changes` is the reduced χ² of their differences.
 fn changing_warning(found: &modal::ModalEstimate, changes: Option<f64>) -> Option<String> {
     let changes = changes.filter(|chi2| *chi2 >= CHANGING)?;
     let is_misfit = |image: &&ImageReport| matches!(image.status, Status::Misfit | Status::WrongMinimum);
@@ -200,8 +202,9 @@ fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
     })
 }
 
-/// What a misfit of reduced χ² `chi2` makes of error bars. Scaled residuals stand for unknown errors as small as the noise: where the
-/// model is [`USELESS`] times further off than that, the estimate is biased by an amount that no scale of its noise tells.
+/// What a misfit of reduced χ² `chi2` makes of error bars. Scaled residuals stand for unknown
+/// errors as small as the noise: where the model is [`USELESS`] times further off than that, the
+/// estimate is biased by an amount that no scale of its noise tells.
 fn scaled(chi2: f64) -> &'static str {
     /// In standard deviations of the noise.
     const USELESS: f64 = 5.0;

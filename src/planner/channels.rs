@@ -1,10 +1,12 @@
-//! Plan of a scene with channels: each channel is searched by itself, with the noise of the joint estimate in the place of its own, and the
-//! choices are put together. Keys of `[estimate]` are those of all channels, so that the finest one holds: the most samples and wavelengths,
-//! the smallest tolerance, single precision where every channel bears it; the crop is each channel's own. The result is measured: the same
-//! wavefronts are imaged in every channel, estimated by the planned models and combined.
+//! Plan of a scene with channels: each channel is searched by itself, with the noise of the joint
+//! estimate in the place of its own, and the choices are put together. Keys of `[estimate]` are
+//! those of all channels, so that the finest one holds: the most samples and wavelengths, the
+//! smallest tolerance, single precision where every channel bears it; the crop is each channel's
+//! own. The result is measured: the same wavefronts are imaged in every channel, estimated by the
+//! planned models and combined.
 //!
-//! A joint estimate is a mean of those of the channels whose weights add up to 1 for each mode, so that its error from the models is
-//! about as large as theirs at most.
+//! A joint estimate is a mean of those of the channels whose weights add up to 1 for each mode, so
+//! that its error from the models is about as large as theirs at most.
 
 use super::plan::{FoundPlan, TriedValue};
 use super::search::PlanSearch;
@@ -14,8 +16,9 @@ use crate::modal::{ModalFitter, has_diversity};
 use crate::scene::{Crop, Precision, System};
 use crate::{Error, Result};
 
-/// Largest RMS of the pistons that are drawn where the channels have several wavelengths, over the shortest: single channels know pistons
-/// modulo their wavelength, and a plan is not about whole wavelengths.
+/// Largest RMS of the pistons that are drawn where the channels have several wavelengths, over the
+/// shortest: single channels know pistons modulo their wavelength, and a plan is not about whole
+/// wavelengths.
 const PISTONS: f64 = 0.05;
 
 /// As [`super::plan`], for a `scene` with channels.
@@ -72,7 +75,8 @@ fn refuse_focus(scene: &System) -> Result<()> {
     }
 }
 
-/// The scene of a channel, with pistons that its images determine where the channels have several wavelengths.
+/// The scene of a channel, with pistons that its images determine where the channels have several
+/// wavelengths.
 fn with_small_pistons(scene: &System, own: &System) -> Result<System> {
     let wavelengths_nm = || scene.channels().iter().map(|channel| channel.system.image.wavelength_nm);
     let (shortest, longest) = (wavelengths_nm().fold(f64::INFINITY, f64::min), wavelengths_nm().fold(0.0, f64::max));
@@ -109,7 +113,8 @@ fn has_value(planned: &System, choice: &TriedValue) -> bool {
 fn planned(scene: &System, plans: &[FoundPlan]) -> Result<System> {
     let estimates = || plans.iter().map(|plan| &plan.system.estimate);
     let samples = estimates().filter_map(|own| own.samples).max();
-    // A scene names them only where every channel has a filter with a width; else each channel keeps those that it needs.
+    // A scene names them only where every channel has a filter with a width; else each channel
+    // keeps those that it needs.
     let has_choice = |plan: &FoundPlan| plan.choices.iter().any(|choice| choice.key == "estimate.wavelengths");
     let of = |plan: &FoundPlan| if has_choice(plan) { plan.system.estimate.wavelengths } else { None };
     let wavelengths = plans.iter().map(of).collect::<Option<Vec<_>>>().and_then(|all| all.into_iter().max());

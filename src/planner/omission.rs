@@ -1,4 +1,5 @@
-//! Effects that the plan does not model, and effects that it models although this scene may not need them, each with its cost.
+//! Effects that the plan does not model, and effects that it models although this scene may not
+//! need them, each with its cost.
 
 use super::price::Price;
 use super::trial::{Trials, recipe};
@@ -38,7 +39,8 @@ pub(super) fn omissions(
     let own = chosen.error_nm();
     let filter = Filter::new(asked)?;
     if !filter.is_monochromatic() {
-        // The images have the filter's width; the plan may model it or not, and the other choice is tried here.
+        // The images have the filter's width; the plan may model it or not, and the other choice is
+        // tried here.
         let modelled = !like.model().optics.has_one_wavelength();
         let other = planned.with(|sections| sections.estimate.wavelengths = modelled.then_some(1))?;
         let model = like.variant(&other, recipe(&other))?;
@@ -82,7 +84,8 @@ pub(super) fn omissions(
     Ok(omissions)
 }
 
-/// Width of the filter of `scene`, for a message: that of a curve is measured and has no round value.
+/// Width of the filter of `scene`, for a message: that of a curve is measured and has no round
+/// value.
 fn percent(scene: &System, filter: &Filter) -> String {
     if scene.image.filter_file.is_some() {
         format!("{:.1} %", 100.0 * filter.width())

@@ -46,7 +46,8 @@ pub struct TriedValue {
     pub value: String,
     /// Whether the plan has it.
     pub kept: bool,
-    /// Cost with all choices that were kept before; of a channel, its own, with the noise of all channels together.
+    /// Cost with all choices that were kept before; of a channel, its own, with the noise of all
+    /// channels together.
     pub price: Price,
 }
 

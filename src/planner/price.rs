@@ -7,12 +7,14 @@ pub struct Price {
     pub model_nm: [f64; 2],
     /// RMS error from noise (Cramér-Rao bound of these pixels), nm, of the phasing and of the NCPA.
     pub noise_nm: [f64; 2],
-    /// Reduced χ² of the model's error alone, over what noise and a finely sampled model explain beyond 1, the largest of the draws:
-    /// from about 1 on, an estimate looks for another minimum, and then calls the image a misfit.
+    /// Reduced χ² of the model's error alone, over what noise and a finely sampled model explain
+    /// beyond 1, the largest of the draws: from about 1 on, an estimate looks for another minimum,
+    /// and then calls the image a misfit.
     pub misfit: f64,
     /// Evaluations of the objective for one image, mean.
     pub evaluations: f64,
-    /// Operations of one image's fit, 10⁶: what candidates are compared by, because it is the same on every run.
+    /// Operations of one image's fit, 10⁶: what candidates are compared by, because it is the same
+    /// on every run.
     pub megaflops: f64,
     /// Wall-clock time of one image's fit in a batch on this machine's CPU, µs.
     pub estimate_us: f64,
@@ -25,7 +27,8 @@ impl Price {
     }
 }
 
-/// Largest [`Price::misfit`] of an acceptable candidate: the other half is left to the scatter of the noise.
+/// Largest [`Price::misfit`] of an acceptable candidate: the other half is left to the scatter of
+/// the noise.
 const MISFIT: f64 = 0.5;
 
 /// What a candidate may cost.
@@ -36,7 +39,8 @@ pub(super) struct Limit {
 }
 
 impl Limit {
-    /// An error of `error_nm`, and a χ² that noise explains, or that of the scene's own model, `reference`.
+    /// An error of `error_nm`, and a χ² that noise explains, or that of the scene's own model,
+    /// `reference`.
     pub(super) fn new(error_nm: f64, reference: &Price) -> Self {
         Self { error_nm, misfit: reference.misfit.max(MISFIT) }
     }

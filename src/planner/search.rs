@@ -1,4 +1,5 @@
-//! Search for the cheapest model within the budget: one key after the other, each from the cheapest value on.
+//! Search for the cheapest model within the budget: one key after the other, each from the cheapest
+//! value on.
 
 use super::omission::omissions;
 use super::plan::{FoundPlan, TriedValue};
@@ -9,25 +10,27 @@ use crate::modal::ModalFitter;
 use crate::scene::{Crop, NcpaBasis, Optimizer, Precision, PupilModel, System};
 use crate::{Error, Result};
 
-/// Margin of the budget for wavefronts worse than those drawn, and for noise that is larger than its mean: the residual of a
-/// hundred modes scatters by 7 %.
+/// Margin of the budget for wavefronts worse than those drawn, and for noise that is larger than
+/// its mean: the residual of a hundred modes scatters by 7 %.
 const HEADROOM: f64 = 1.15;
-/// Error that a model may add where the noise alone is above the budget, as a fraction of the noise.
+/// Error that a model may add where the noise alone is above the budget, as a fraction of the
+/// noise.
 const MODEL_SHARE: f64 = 0.1;
-/// Samples across the pupil that are tried: steps of an eighth or so, which is a quarter in time, and of half of that
-/// where most plans for a nanometre end.
+/// Samples across the pupil that are tried: steps of an eighth or so, which is a quarter in time,
+/// and of half of that where most plans for a nanometre end.
 const SAMPLES: [usize; 24] =
     [32, 36, 40, 48, 54, 60, 64, 72, 80, 84, 90, 96, 102, 108, 120, 136, 160, 180, 200, 240, 288, 320, 400, 480];
 /// Pixels by which narrower crops differ.
 const CROP_STEP: usize = 8;
 /// Narrower crops that are tried.
 const CROPS: usize = 4;
-/// Largest work of a narrower crop, as a fraction of that of the wider one: a saving of less than a twentieth does not outweigh
-/// the noise that it adds, and the further evaluations at a looser tolerance.
+/// Largest work of a narrower crop, as a fraction of that of the wider one: a saving of less than a
+/// twentieth does not outweigh the noise that it adds, and the further evaluations at a looser
+/// tolerance.
 const CROP_WORK: f64 = 0.95;
-/// Step tolerances that are tried, nm, as fractions of the budget: a fit takes the step that is below the tolerance, and
-/// its error is about a third of that step. Twice the budget would save a twentieth of the evaluations of a plan of Keck
-/// for 1 nm, for a fifth more error.
+/// Step tolerances that are tried, nm, as fractions of the budget: a fit takes the step that is
+/// below the tolerance, and its error is about a third of that step. Twice the budget would save a
+/// twentieth of the evaluations of a plan of Keck for 1 nm, for a fifth more error.
 const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 
 /// A candidate with its fitter, whose basis other candidates share.
@@ -92,7 +95,8 @@ impl<'a> PlanSearch<'a> {
         Ok(Candidate { scene, estimator, price })
     }
 
-    /// The fewest samples within the limit, by bisection: the error falls with the number of samples.
+    /// The fewest samples within the limit, by bisection: the error falls with the number of
+    /// samples.
     fn sampled(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
         if from.estimator.recipe().pupil_model != PupilModel::BandLimited || !from.estimator.model().telescope.is_fine()
         {
@@ -151,7 +155,8 @@ impl<'a> PlanSearch<'a> {
         let preparation = from.estimator.model().preparation;
         let native = |pixels: usize| (pixels as f64 * preparation.native_along(0)).round() as usize;
         let own = native(preparation.pixels);
-        // The crop that the model chose by itself is written into the plan, so that it is the same when it is read again.
+        // The crop that the model chose by itself is written into the plan, so that it is the same
+        // when it is read again.
         let cropped =
             |scene: &System, pixels: usize| scene.with(|sections| sections.image.crop_pixels = Crop::Pixels(pixels));
         let scene = cropped(&from.scene, own)?;
@@ -199,8 +204,8 @@ impl<'a> PlanSearch<'a> {
         Ok(best)
     }
 
-    /// The cost with half of the Karhunen-Loève modes, which is reported and never chosen: the wavefronts that are drawn have
-    /// few of the modes that a telescope may have.
+    /// The cost with half of the Karhunen-Loève modes, which is reported and never chosen: the
+    /// wavefronts that are drawn have few of the modes that a telescope may have.
     fn price_half_the_modes(&mut self, best: &Candidate) -> Result<()> {
         let modes = &best.scene.modes;
         if modes.ncpa != NcpaBasis::Kl || modes.ncpa_count < 2 {
@@ -213,7 +218,8 @@ impl<'a> PlanSearch<'a> {
         Ok(())
     }
 
-    /// `scene`, which is that of `best` with another value of a key, where that is within the limit and less work; else `best`.
+    /// `scene`, which is that of `best` with another value of a key, where that is within the limit
+    /// and less work; else `best`.
     fn change_if_cheaper(
         &mut self,
         best: Candidate,

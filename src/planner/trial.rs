@@ -1,4 +1,5 @@
-//! Trials: wavefronts of a scene, imaged without noise, and the error with which a model estimates them.
+//! Trials: wavefronts of a scene, imaged without noise, and the error with which a model estimates
+//! them.
 
 use super::price::Price;
 use crate::control::Control;
@@ -16,21 +17,22 @@ use rand_chacha::ChaCha12Rng;
 use rayon::prelude::*;
 use std::time::Instant;
 
-/// Number of wavefronts that are drawn. The largest error of eight represents the scene: of a hundred more, one in nine is worse,
-/// for which [`super::search`] leaves a margin.
+/// Number of wavefronts that are drawn. The largest error of eight represents the scene: of a
+/// hundred more, one in nine is worse, for which [`super::search`] leaves a margin.
 pub(super) const DRAWS: usize = 8;
-/// Stream of the random numbers: another one than that of the scene's own images, so that no image is estimated with a model that
-/// was chosen by it.
+/// Stream of the random numbers: another one than that of the scene's own images, so that no image
+/// is estimated with a model that was chosen by it.
 const STREAM: u64 = 0x70_6c_61_6e;
-/// RMS of the pistons and of the NCPA that are drawn where the scene has none, nm: typical of segments and optics that drift after
-/// an alignment.
+/// RMS of the pistons and of the NCPA that are drawn where the scene has none, nm: typical of
+/// segments and optics that drift after an alignment.
 const ASSUMED_NM: [f64; 2] = [60.0, 70.0];
 /// Last Noll index of these NCPA.
 const ASSUMED_LAST_NOLL: usize = 18;
 
-/// The recipe of a candidate: that of an estimate, with the modes that have a prior. Their prior is not applied, so that a
-/// price is an upper bound (by 8 % of the noise of the NCPA of `keck-artificial`) for estimates, and for sessions, which do not
-/// fit them. Without restarts: a model that leads to a wrong minimum is not acceptable.
+/// The recipe of a candidate: that of an estimate, with the modes that have a prior. Their prior is
+/// not applied, so that a price is an upper bound (by 8 % of the noise of the NCPA of
+/// `keck-artificial`) for estimates, and for sessions, which do not fit them. Without restarts: a
+/// model that leads to a wrong minimum is not acceptable.
 pub(super) fn recipe(scene: &System) -> Recipe {
     Recipe { restarts: 0, ..Recipe::with_prior(scene) }
 }
@@ -43,7 +45,8 @@ pub(super) struct Trials {
     truths: Vec<Truth>,
     /// Electrons of the star, mean over the draws.
     flux_e: f64,
-    /// Noise of the phasing and of the NCPA over that of these images alone: below 1 where other channels are combined with them.
+    /// Noise of the phasing and of the NCPA over that of these images alone: below 1 where other
+    /// channels are combined with them.
     noise_share: [f64; 2],
 }
 
@@ -52,8 +55,8 @@ pub(super) struct Trial {
     pub(super) price: Price,
     /// Estimate of each draw without noise, `[draw, mode]`, nm; NaN where there is none.
     coefficients_nm: Array2<f64>,
-    /// Covariance of the modes from the noise of all images of the scene together, at the first draw, nm²; `None` where that has no
-    /// estimate.
+    /// Covariance of the modes from the noise of all images of the scene together, at the first
+    /// draw, nm²; `None` where that has no estimate.
     covariance_nm2: Option<Array2<f64>>,
 }
 
@@ -119,7 +122,8 @@ impl Trials {
         Ok(Trial { price, coefficients_nm: found.coefficients_nm, covariance_nm2 })
     }
 
-    /// Largest errors of the phasing and of the NCPA of the estimates of the draws, nm; infinite where there is none.
+    /// Largest errors of the phasing and of the NCPA of the estimates of the draws, nm; infinite
+    /// where there is none.
     fn model_nm(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let errors = self
             .truths
@@ -146,8 +150,8 @@ impl Trials {
     }
 }
 
-/// Cost of the models of several channels of `scene`, each on its own images of the same wavefronts, combined: work and time are those of
-/// all.
+/// Cost of the models of several channels of `scene`, each on its own images of the same
+/// wavefronts, combined: work and time are those of all.
 pub(super) fn joint_price(scene: &System, channels: &[(&ModalFitter, &Trials)], control: &Control) -> Result<Price> {
     let each = channels.iter().map(|(fitter, trials)| trials.run(fitter, control)).collect::<Result<Vec<_>>>()?;
     let Some((first, trials)) = channels.first() else { return Err(Error::Internal("there is no channel".into())) };
@@ -176,7 +180,8 @@ pub(super) fn joint_price(scene: &System, channels: &[(&ModalFitter, &Trials)], 
     })
 }
 
-/// Expected errors of the phasing and of the NCPA from a covariance of the modes, nm; infinite without one.
+/// Expected errors of the phasing and of the NCPA from a covariance of the modes, nm; infinite
+/// without one.
 fn noise_nm(estimator: &ModalFitter, covariance_nm2: Option<&Array2<f64>>) -> Result<[f64; 2]> {
     let model = estimator.model();
     let Some(covariance_nm2) = covariance_nm2 else { return Ok([f64::INFINITY; 2]) };

@@ -6,8 +6,8 @@ use super::sampled::Segment;
 use crate::hexagons::{DISC_SIDES, HexagonLayout, disc_vertices_m};
 use crate::{Error, Result};
 
-/// Largest number of rings: more than any planned telescope has (ELT: 21), and small enough that a typing error is reported
-/// rather than computed.
+/// Largest number of rings: more than any planned telescope has (ELT: 21), and small enough that a
+/// typing error is reported rather than computed.
 const MAX_RINGS: usize = 64;
 
 /// Geometry of a mirror of segments in the places of hexagons.
@@ -31,7 +31,8 @@ pub struct HexagonalParameters {
     pub obscuration_diameter_m: f64,
     /// Width of the spiders' arms, m; 0 for none.
     pub spider_width_m: f64,
-    /// Directions of the arms, degrees counter-clockwise from +x: each is a line across the pupil through its centre.
+    /// Directions of the arms, degrees counter-clockwise from +x: each is a line across the pupil
+    /// through its centre.
     pub spider_angles_deg: Vec<f64>,
     /// Directions of arms that end at the centre, degrees counter-clockwise from +x.
     pub spider_vanes_deg: Vec<f64>,
@@ -40,7 +41,8 @@ pub struct HexagonalParameters {
 }
 
 impl HexagonalParameters {
-    /// Keck: 36 segments of 0.9 m in three rings, 3 mm apart, without a central segment; no obscuration and no spiders.
+    /// Keck: 36 segments of 0.9 m in three rings, 3 mm apart, without a central segment; no
+    /// obscuration and no spiders.
     pub fn keck() -> Self {
         Self {
             rings: 3,
@@ -132,7 +134,8 @@ impl Arm {
         ends.into_iter().flatten().map(|[x, y]| y.atan2(x))
     }
 
-    /// The convex pieces of `polygon` beside the arm and, where it ends at the centre, behind it; empty ones among them.
+    /// The convex pieces of `polygon` beside the arm and, where it ends at the centre, behind it;
+    /// empty ones among them.
     fn removed_from(&self, polygon: &Polygon) -> Vec<Polygon> {
         let Self { direction: [cos, sin], half_width_m, is_line } = *self;
         let (left, right) = ([-sin, cos], [sin, -cos]);
@@ -144,7 +147,8 @@ impl Arm {
     }
 }
 
-/// Shape of one segment without its shadowed parts: convex pieces, each added (+1) or subtracted (−1).
+/// Shape of one segment without its shadowed parts: convex pieces, each added (+1) or subtracted
+/// (−1).
 #[derive(Debug, Clone)]
 pub(crate) struct SegmentShape {
     /// Outline of the whole segment, including shadowed parts.
@@ -153,8 +157,8 @@ pub(crate) struct SegmentShape {
 }
 
 impl SegmentShape {
-    /// Removes the shadows: the spiders split the outline into convex pieces, and the part of each under the disc is
-    /// subtracted.
+    /// Removes the shadows: the spiders split the outline into convex pieces, and the part of each
+    /// under the disc is subtracted.
     fn new(outline: Polygon, disc: Option<&Polygon>, spiders: &[Arm]) -> Self {
         let mut pieces = vec![outline.clone()];
         for arm in spiders {
@@ -186,13 +190,14 @@ pub struct Aperture {
 }
 
 impl Aperture {
-    /// Hexagonal segments in rings, vertices on ±x, centres √3·side + gap apart; numbered ring by ring from the
-    /// innermost, within a ring by the polar angle of the centre in [0, 2π), counter-clockwise from +x. All is then
-    /// rotated by `rotation_deg`. Round segments have centres 2·side + gap apart, in the same order.
+    /// Hexagonal segments in rings, vertices on ±x, centres √3·side + gap apart; numbered ring by
+    /// ring from the innermost, within a ring by the polar angle of the centre in [0, 2π),
+    /// counter-clockwise from +x. All is then rotated by `rotation_deg`. Round segments have
+    /// centres 2·side + gap apart, in the same order.
     ///
     /// # Errors
-    /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments, more than 64 rings, labels
-    /// that do not fit, or a segment completely in shadow.
+    /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments,
+    /// more than 64 rings, labels that do not fit, or a segment completely in shadow.
     pub fn hexagonal(parameters: &HexagonalParameters) -> Result<Self> {
         parameters.check()?;
         let hexagons = parameters.layout().hexagons();
@@ -248,7 +253,8 @@ impl Aperture {
         self.vertices().map(|[x, y]| x.hypot(y)).fold(0.0, f64::max)
     }
 
-    /// Side of the smallest centred square that encloses the mirror, m: the smallest width of a grid.
+    /// Side of the smallest centred square that encloses the mirror, m: the smallest width of a
+    /// grid.
     pub fn width_m(&self) -> f64 {
         2.0 * self.vertices().map(|[x, y]| x.abs().max(y.abs())).fold(0.0, f64::max)
     }

@@ -1,7 +1,7 @@
 //! Band-limited pupils: far more accurate than anti-aliased edges with the same number of samples.
 //!
-//! Sampling a sharp edge aliases its high frequencies into the low ones that determine the image. Here each segment is
-//! low-pass filtered first, so that aliases stay outside the pass band:
+//! Sampling a sharp edge aliases its high frequencies into the low ones that determine the image.
+//! Here each segment is low-pass filtered first, so that aliases stay outside the pass band:
 //!
 //! ```text
 //! gain 1 ────────┐.            frequency f, in cycles per grid width, along each axis
@@ -9,12 +9,13 @@
 //!      0 ───── pass ─`stop──
 //! ```
 //!
-//! The filter is separable, because the pass band is a square: a focal pixel at (u, v) λ/D is the frequency
-//! (u, v), and images are square. The transition is the integral of a Kaiser window (Kaiser and Schafer, IEEE Trans.
-//! ASSP 28, 105, 1980), because its ringing decreases below a given level within the fewest samples.
+//! The filter is separable, because the pass band is a square: a focal pixel at (u, v) λ/D is the
+//! frequency (u, v), and images are square. The transition is the integral of a Kaiser window
+//! (Kaiser and Schafer, IEEE Trans. ASSP 28, 105, 1980), because its ringing decreases below a
+//! given level within the fewest samples.
 //!
-//! Nothing is periodic: spectra are continuous functions (in closed form for a geometric aperture), sampled so
-//! finely that the ringing does not wrap around.
+//! Nothing is periodic: spectra are continuous functions (in closed form for a geometric aperture),
+//! sampled so finely that the ringing does not wrap around.
 
 use super::aperture::{Aperture, SegmentShape};
 use super::maps::FinePupil;
@@ -26,11 +27,12 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// The low pass of a band-limited pupil, along each axis; frequencies in cycles per grid width (λ/D in the focus).
+/// The low pass of a band-limited pupil, along each axis; frequencies in cycles per grid width (λ/D
+/// in the focus).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandLimit {
-    /// Frequencies up to this are unchanged. At least half the width of the image in λ/D plus half that of the defocused
-    /// spot.
+    /// Frequencies up to this are unchanged. At least half the width of the image in λ/D plus half
+    /// that of the defocused spot.
     pub pass: f64,
     /// Frequencies from this on are removed. `samples − pass` keeps aliases out of the pass band.
     pub stop: f64,
@@ -39,10 +41,12 @@ pub struct BandLimit {
 }
 
 impl BandLimit {
-    /// The low-pass filter for a grid of `samples` a side without aliases below `pass`; weights under 1e-4 are dropped.
+    /// The low-pass filter for a grid of `samples` a side without aliases below `pass`; weights
+    /// under 1e-4 are dropped.
     ///
-    /// Keck at 120 samples, pass 50: 1e-4 keeps 3.1 entries per illuminated sample, with an error of the focal field of 2e-5;
-    /// 1e-3 keeps 2.3 with 1.4e-4, and 1e-5 keeps 4.1 with 2e-6 (on a grid with a margin of 20 samples a side).
+    /// Keck at 120 samples, pass 50: 1e-4 keeps 3.1 entries per illuminated sample, with an error
+    /// of the focal field of 2e-5; 1e-3 keeps 2.3 with 1.4e-4, and 1e-5 keeps 4.1 with 2e-6 (on a
+    /// grid with a margin of 20 samples a side).
     ///
     /// # Errors
     /// [`Error::Value`] unless 0 < `pass` < `samples`/2.
@@ -73,8 +77,8 @@ impl BandLimit {
         (0.1102 * (-20.0 * self.drop_below.log10() - 8.7)).max(0.0)
     }
 
-    /// Distance from an edge beyond which its ringing is below `drop_below`, in grid widths: the main lobe of the transform
-    /// of the transition. At most 1, since no sample is farther away.
+    /// Distance from an edge beyond which its ringing is below `drop_below`, in grid widths: the
+    /// main lobe of the transform of the transition. At most 1, since no sample is farther away.
     fn reach(&self) -> f64 {
         ((1.0 + (self.beta() / PI).powi(2)).sqrt() / (self.stop - self.pass)).min(1.0)
     }
@@ -99,7 +103,8 @@ fn simpson(f: impl Fn(f64) -> f64, low: f64, high: f64) -> f64 {
     (0..=128).map(|i| weight(i) * f(low + i as f64 * step)).sum::<f64>() * step / 3.0
 }
 
-/// Modified Bessel function of order 0 by its power series; all terms are positive, so that there is no cancellation.
+/// Modified Bessel function of order 0 by its power series; all terms are positive, so that there
+/// is no cancellation.
 fn bessel_i0(x: f64) -> f64 {
     let (mut term, mut sum, mut k) = (1.0, 1.0, 1.0);
     while term > sum * f64::EPSILON {
@@ -111,10 +116,11 @@ fn bessel_i0(x: f64) -> f64 {
 }
 
 impl SegmentWeights {
-    /// Each segment of a geometric aperture, low-pass filtered and sampled on `grid`; its spectrum is exact.
+    /// Each segment of a geometric aperture, low-pass filtered and sampled on `grid`; its spectrum
+    /// is exact.
     ///
-    /// Weights ring beyond the edge of the segment and may be negative there, so the grid should extend a few samples beyond
-    /// the mirror. The energy is the area of the mirror in samples.
+    /// Weights ring beyond the edge of the segment and may be negative there, so the grid should
+    /// extend a few samples beyond the mirror. The energy is the area of the mirror in samples.
     ///
     /// # Errors
     /// [`Error::Value`] for a grid narrower than the mirror or an impossible `limit`.
@@ -133,15 +139,16 @@ impl SegmentWeights {
         Ok(Self::from_columns(grid.samples(), &columns, aperture.energy(grid)))
     }
 
-    /// Each segment of a pupil given as fine maps, low-pass filtered and sampled on `grid`. The energy is Σ amplitude² of the
-    /// fine map, in samples of `grid`.
+    /// Each segment of a pupil given as fine maps, low-pass filtered and sampled on `grid`. The
+    /// energy is Σ amplitude² of the fine map, in samples of `grid`.
     ///
-    /// The accuracy is that of the labels: a fine sample across a gap is assigned to one segment, which moves the border
-    /// between the two by up to half a fine sample. A geometric aperture does not have this error.
+    /// The accuracy is that of the labels: a fine sample across a gap is assigned to one segment,
+    /// which moves the border between the two by up to half a fine sample. A geometric aperture
+    /// does not have this error.
     ///
     /// # Errors
-    /// [`Error::Value`] for maps less than twice as fine as `grid` (see [`FinePupil::resolves`]; use
-    /// [`SegmentWeights::hard`] instead), or an impossible `limit`.
+    /// [`Error::Value`] for maps less than twice as fine as `grid` (see [`FinePupil::resolves`];
+    /// use [`SegmentWeights::hard`] instead), or an impossible `limit`.
     pub fn band_limited_maps(fine: &FinePupil, grid: &Grid, limit: &BandLimit) -> Result<Self> {
         limit.check(grid.samples())?;
         if !fine.resolves(grid) {
@@ -179,12 +186,12 @@ struct Axis {
 }
 
 impl Axis {
-    /// The axis for a shape within `(low, high)`, m. A real function needs half of the frequencies along one axis: with `half`
-    /// those count twice.
+    /// The axis for a shape within `(low, high)`, m. A real function needs half of the frequencies
+    /// along one axis: with `half` those count twice.
     fn new((low, high): (f64, f64), grid: &Grid, limit: &BandLimit, half: bool) -> Self {
         let reach = limit.reach() * grid.width_m();
-        // Sampling the spectrum at 1/period repeats the shape with that period: the nearest copy is at least two reaches away
-        // from every sample that is kept.
+        // Sampling the spectrum at 1/period repeats the shape with that period: the nearest copy is
+        // at least two reaches away from every sample that is kept.
         let period = high - low + 3.0 * reach;
         let last = (limit.stop / grid.width_m() * period).floor() as i64;
         let first = if half { 0 } else { -last };
@@ -213,7 +220,8 @@ fn waves(positions: &[f64], frequencies: &[f64], sign: f64) -> Array2<Complex64>
     })
 }
 
-/// Filters a spectrum `[fy, fx ≥ 0]` and evaluates it at the grid's samples within reach: `(y·samples + x, weight)`.
+/// Filters a spectrum `[fy, fx ≥ 0]` and evaluates it at the grid's samples within reach:
+/// `(y·samples + x, weight)`.
 fn sample(spectrum: Vec<Complex64>, y: &Axis, x: &Axis, grid: &Grid, limit: &BandLimit) -> Result<Vec<(u32, f64)>> {
     let mut spectrum = Array2::from_shape_vec((y.frequencies.len(), x.frequencies.len()), spectrum)
         .map_err(|error| Error::Internal(format!("the spectrum of a segment has a wrong shape: {error}")))?;
@@ -245,7 +253,8 @@ impl Patch {
         (along[0] - self.pitch_m / 2.0, along[along.len() - 1] + self.pitch_m / 2.0)
     }
 
-    /// Spectrum of the segment, `[fy, fx]`. A sample is the mean over its cell, a blur that is divided out.
+    /// Spectrum of the segment, `[fy, fx]`. A sample is the mean over its cell, a blur that is
+    /// divided out.
     fn spectrum(&self, y: &Axis, x: &Axis) -> Result<Vec<Complex64>> {
         let from = |along: &[f64], origin: f64| along.iter().map(|p| p - origin).collect::<Vec<_>>();
         let along_x = waves(&from(&self.positions[1], x.origin), &x.frequencies, -1.0);

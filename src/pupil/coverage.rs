@@ -12,9 +12,9 @@ use rayon::prelude::*;
 const ROUNDING: f64 = 1e-12;
 
 impl Aperture {
-    /// The mirror on a grid: the amplitude is the exact illuminated fraction of each cell. A cell belongs to the segment at
-    /// its centre; an illuminated cell whose centre is in a gap or beyond the edge belongs to the segment that covers most
-    /// of it.
+    /// The mirror on a grid: the amplitude is the exact illuminated fraction of each cell. A cell
+    /// belongs to the segment at its centre; an illuminated cell whose centre is in a gap or beyond
+    /// the edge belongs to the segment that covers most of it.
     ///
     /// # Errors
     /// [`Error::Value`] for a grid narrower than the mirror.
@@ -46,7 +46,8 @@ impl Aperture {
         })
     }
 
-    /// Fraction of each cell that each segment covers: per segment, `(y·samples + x, fraction)` in ascending order.
+    /// Fraction of each cell that each segment covers: per segment, `(y·samples + x, fraction)` in
+    /// ascending order.
     pub(crate) fn shares(&self, grid: &Grid) -> Result<Vec<Vec<(u32, f64)>>> {
         self.check_width(grid)?;
         Ok(self.shapes().par_iter().map(|shape| shape_shares(shape, grid)).collect())
@@ -78,8 +79,8 @@ fn shape_shares(shape: &SegmentShape, grid: &Grid) -> Vec<(u32, f64)> {
     share.iter().enumerate().filter(|(_, share)| **share > ROUNDING).map(|(i, &share)| (index(i), share)).collect()
 }
 
-/// Adds the fractions of one row of cells. A strip of a convex polygon covers every cell between its innermost borders
-/// completely; only the few cells at the borders are clipped.
+/// Adds the fractions of one row of cells. A strip of a convex polygon covers every cell between
+/// its innermost borders completely; only the few cells at the borders are clipped.
 fn add_strip(strip: &Polygon, sign: f64, y: usize, first: usize, grid: &Grid, line: &mut [f64]) {
     let full = full_range(strip, y, grid);
     let area = grid.pitch_m().powi(2);
@@ -91,7 +92,8 @@ fn add_strip(strip: &Polygon, sign: f64, y: usize, first: usize, grid: &Grid, li
     }
 }
 
-/// The abscissae between which the strip spans its row from bottom to top; an empty range where it does not.
+/// The abscissae between which the strip spans its row from bottom to top; an empty range where it
+/// does not.
 fn full_range(strip: &Polygon, y: usize, grid: &Grid) -> (f64, f64) {
     let border = |at: f64| {
         let on = strip.0.iter().filter(|p| p[1] == at).map(|p| p[0]);
@@ -106,7 +108,8 @@ fn edge(j: usize, grid: &Grid) -> f64 {
     (j as f64 - grid.samples() as f64 / 2.0) * grid.pitch_m()
 }
 
-/// The cells that a range of coordinates overlaps: at least one, possibly one more by rounding; none for an empty range.
+/// The cells that a range of coordinates overlaps: at least one, possibly one more by rounding;
+/// none for an empty range.
 fn cells((low, high): (f64, f64), grid: &Grid) -> std::ops::Range<usize> {
     if low > high {
         return 0..0;

@@ -1,4 +1,5 @@
-//! Least-squares removal of piston, tip and tilt, and statistics over the pupil, weighted with its amplitude.
+//! Least-squares removal of piston, tip and tilt, and statistics over the pupil, weighted with its
+//! amplitude.
 
 use super::sampled::Pupil;
 use crate::{Error, Result};
@@ -19,15 +20,18 @@ impl Pupil {
         areas
     }
 
-    /// The map `[y, x]` minus its weighted mean over the pupil; NaN outside. Values outside are ignored.
+    /// The map `[y, x]` minus its weighted mean over the pupil; NaN outside. Values outside are
+    /// ignored.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map of another shape, [`Error::Value`] for a value in the pupil that is not finite.
+    /// [`Error::Shape`] for a map of another shape, [`Error::Value`] for a value in the pupil that
+    /// is not finite.
     pub fn remove_piston(&self, map: ArrayView2<f64>) -> Result<Array2<f64>> {
         self.detrend(map, 1)
     }
 
-    /// The map `[y, x]` minus its weighted least-squares plane over the pupil; NaN outside. Values outside are ignored.
+    /// The map `[y, x]` minus its weighted least-squares plane over the pupil; NaN outside. Values
+    /// outside are ignored.
     ///
     /// # Errors
     /// Those of [`Pupil::remove_piston`].
@@ -45,8 +49,8 @@ impl Pupil {
         Ok((illuminated.map(|(a, m)| a * m * m).sum::<f64>() / self.weight_sum()).sqrt())
     }
 
-    /// Removes the first `terms` of 1, x, y, made orthogonal over the pupil one after the other; a term in
-    /// the span of the earlier ones (on a pupil of one sample, or of one line) is skipped.
+    /// Removes the first `terms` of 1, x, y, made orthogonal over the pupil one after the other; a
+    /// term in the span of the earlier ones (on a pupil of one sample, or of one line) is skipped.
     fn detrend(&self, map: ArrayView2<f64>, terms: usize) -> Result<Array2<f64>> {
         self.check(&map)?;
         let samples = self.grid.samples();

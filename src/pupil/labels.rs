@@ -4,10 +4,11 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use std::collections::BTreeSet;
 
-/// Largest distance of an unlabelled illuminated sample from a labelled one, in samples: at an anti-aliased edge or a gap.
-/// A larger distance means that a label is missing.
+/// Largest distance of an unlabelled illuminated sample from a labelled one, in samples: at an
+/// anti-aliased edge or a gap. A larger distance means that a label is missing.
 const RIM: usize = 2;
-/// Labels that may stand for no segment: 0, and what −1 becomes in unsigned or is replaced by in short integers.
+/// Labels that may stand for no segment: 0, and what −1 becomes in unsigned or is replaced by in
+/// short integers.
 const NOWHERE: [i32; 5] = [0, 127, 255, 32_767, 65_535];
 /// Most segments of a pupil: more labels are another map than one of segments.
 const MOST_SEGMENTS: usize = 10_000;
@@ -38,8 +39,8 @@ pub(super) fn owners(amplitude: &Array2<f64>, mut labels: Array2<i32>) -> Result
     Ok((label.mapv(number), found))
 }
 
-/// Whether a label means that there is no segment: where no label is negative and all illuminated samples with it are at the rim of
-/// a segment. A segment has samples farther inside.
+/// Whether a label means that there is no segment: where no label is negative and all illuminated
+/// samples with it are at the rim of a segment. A segment has samples farther inside.
 fn is_outside(amplitude: &Array2<f64>, labels: &Array2<i32>, outside: i32) -> bool {
     let has_it = labels.iter().any(|label| *label == outside);
     if !has_it || labels.iter().any(|label| *label < 0) || labels.iter().all(|label| *label == outside) {
@@ -55,7 +56,8 @@ fn is_outside(amplitude: &Array2<f64>, labels: &Array2<i32>, outside: i32) -> bo
     lit.map(|(at, _)| at).all(|(y, x)| nearest_label(amplitude, &others, y, x).is_some())
 }
 
-/// The label of the nearest labelled illuminated sample; among equally near ones, the first in grid order.
+/// The label of the nearest labelled illuminated sample; among equally near ones, the first in grid
+/// order.
 fn nearest_label(amplitude: &Array2<f64>, labels: &Array2<i32>, y: usize, x: usize) -> Option<i32> {
     if labels[[y, x]] >= 0 {
         return Some(labels[[y, x]]);

@@ -6,8 +6,8 @@ use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// A pupil on a grid finer than the model's, with the segment of each sample: the input of a band-limited pupil. Its
-/// maps are checked and cannot be changed.
+/// A pupil on a grid finer than the model's, with the segment of each sample: the input of a
+/// band-limited pupil. Its maps are checked and cannot be changed.
 #[derive(Debug, Clone)]
 pub struct FinePupil(Pupil);
 
@@ -37,19 +37,20 @@ impl FinePupil {
 }
 
 impl Pupil {
-    /// A pupil from its maps: `amplitude` `[y, x]` in [0, 1], `labels` `[y, x]` of 0 or more for the segments and negative
-    /// elsewhere; without labels, one segment (a monolithic telescope). Segments are counted from 0 by ascending label, whatever the
-    /// labels are ([`Segment::label`]). Where no label is negative, 0 is no segment if only samples at the rim of others have it, as where
-    /// segments are labelled from 1.
+    /// A pupil from its maps: `amplitude` `[y, x]` in [0, 1], `labels` `[y, x]` of 0 or more for
+    /// the segments and negative elsewhere; without labels, one segment (a monolithic telescope).
+    /// Segments are counted from 0 by ascending label, whatever the labels are
+    /// ([`Segment::label`]). Where no label is negative, 0 is no segment if only samples at the rim
+    /// of others have it, as where segments are labelled from 1.
     ///
-    /// An illuminated sample without a label takes the label of the nearest labelled illuminated sample within two samples (at
-    /// an anti-aliased edge or a gap); a label outside the illuminated area is ignored. The centre of a segment is the
-    /// centroid of its amplitude.
+    /// An illuminated sample without a label takes the label of the nearest labelled illuminated
+    /// sample within two samples (at an anti-aliased edge or a gap); a label outside the
+    /// illuminated area is ignored. The centre of a segment is the centroid of its amplitude.
     ///
     /// # Errors
-    /// [`Error::Shape`] for maps that do not have the grid's shape; [`Error::Value`] for an amplitude outside [0, 1] or
-    /// not finite, a pupil without illuminated samples, more than 10,000 segments, or an illuminated sample farther than two samples
-    /// from any labelled one.
+    /// [`Error::Shape`] for maps that do not have the grid's shape; [`Error::Value`] for an
+    /// amplitude outside [0, 1] or not finite, a pupil without illuminated samples, more than
+    /// 10,000 segments, or an illuminated sample farther than two samples from any labelled one.
     pub fn from_maps(grid: Grid, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let samples = grid.samples();
         check_shape("pupil amplitude", amplitude.dim(), samples)?;

@@ -1,4 +1,5 @@
-//! The telescope's pupil: amplitude, segments, and the weights of the segments in the samples of the model.
+//! The telescope's pupil: amplitude, segments, and the weights of the segments in the samples of
+//! the model.
 
 mod aperture;
 mod band_limit;

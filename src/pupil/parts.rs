@@ -1,7 +1,8 @@
 //! Parts of a pupil that its spider separates, on which petal modes are defined (low-wind effect).
 //!
-//! Arms that meet at the centre cut the pupil into sectors. In maps the parts are the connected components of the illuminated
-//! samples. Gaps between segments separate nothing: see [`PupilParts::of_maps`].
+//! Arms that meet at the centre cut the pupil into sectors. In maps the parts are the connected
+//! components of the illuminated samples. Gaps between segments separate nothing: see
+//! [`PupilParts::of_maps`].
 
 use super::sampled::Pupil;
 use crate::grid::Grid;
@@ -9,15 +10,17 @@ use ndarray::Array2;
 use std::collections::VecDeque;
 use std::f64::consts::{PI, TAU};
 
-/// Widest gap between segments of a map, samples: a wider dark strip between two segments is an arm of the spider.
+/// Widest gap between segments of a map, samples: a wider dark strip between two segments is an arm
+/// of the spider.
 const WIDEST_GAP: usize = 2;
-/// Least share of the illuminated samples that is a part: corners that an arm cuts off a segment or the rim are smaller, and belong to the
-/// nearest part.
+/// Least share of the illuminated samples that is a part: corners that an arm cuts off a segment or
+/// the rim are smaller, and belong to the nearest part.
 const LEAST_SHARE: f64 = 0.01;
 /// Directions that differ by less are one, rad: far below a sample at the rim of any pupil.
 const SAME_DIRECTION_RAD: f64 = 1e-6;
 
-/// Parts of a pupil, numbered by the polar angle of their centre in [0, 2π), counter-clockwise from +x.
+/// Parts of a pupil, numbered by the polar angle of their centre in [0, 2π), counter-clockwise from
+/// +x.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PupilParts {
     places: Places,
@@ -26,7 +29,8 @@ pub struct PupilParts {
 
 #[derive(Debug, Clone, PartialEq)]
 enum Places {
-    /// Directions of the arms, rad in [0, 2π), ascending; the sector across +x is the first where `begins_across_x`, else the last.
+    /// Directions of the arms, rad in [0, 2π), ascending; the sector across +x is the first where
+    /// `begins_across_x`, else the last.
     Sectors { arms_rad: Vec<f64>, begins_across_x: bool },
     /// Part of each sample, `[y, x]`; a dark sample has that of the nearest part.
     Map { grid: Grid, part: Array2<usize> },
@@ -49,9 +53,10 @@ impl PupilParts {
         Self { places: Places::Sectors { arms_rad, begins_across_x }, count }
     }
 
-    /// The connected components of the samples of `pupil` with at least half of the largest amplitude. Samples of two segments are connected
-    /// across up to two darker samples between them, which are a gap of the mirror. Components of less than 1 % of the samples belong to the
-    /// nearest part.
+    /// The connected components of the samples of `pupil` with at least half of the largest
+    /// amplitude. Samples of two segments are connected across up to two darker samples between
+    /// them, which are a gap of the mirror. Components of less than 1 % of the samples belong to
+    /// the nearest part.
     pub fn of_maps(pupil: &Pupil) -> Self {
         let least = 0.5 * pupil.amplitude.iter().copied().fold(0.0, f64::max);
         let is_bright = pupil.amplitude.mapv(|a| a >= least && a > 0.0);
@@ -86,7 +91,8 @@ impl PupilParts {
         self.count
     }
 
-    /// Part of a point of the pupil plane; of a point in shadow or outside of the pupil the nearest.
+    /// Part of a point of the pupil plane; of a point in shadow or outside of the pupil the
+    /// nearest.
     pub fn part_at(&self, x_m: f64, y_m: f64) -> usize {
         match &self.places {
             _ if self.count == 1 => 0,
@@ -158,7 +164,8 @@ fn neighbours(at: [usize; 2], samples: usize) -> impl Iterator<Item = [usize; 2]
     STEPS.into_iter().filter_map(move |step| moved(at, step, samples))
 }
 
-/// Polar angle of the centre of these samples in [0, 2π), rad; 0 for one on +x up to the pitch of the grid.
+/// Polar angle of the centre of these samples in [0, 2π), rad; 0 for one on +x up to the pitch of
+/// the grid.
 fn direction(pupil: &Pupil, samples: &[[usize; 2]]) -> f64 {
     let sum = |axis: usize| samples.iter().map(|at| pupil.grid.coordinate_m(at[axis])).sum::<f64>();
     let (y, x) = (sum(0), sum(1));

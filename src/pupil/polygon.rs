@@ -11,7 +11,8 @@ pub(crate) type Point = [f64; 2];
 pub(crate) struct Polygon(pub(crate) Vec<Point>);
 
 impl Polygon {
-    /// The regular polygon of `sides` sides around `centre`, its first vertex in the direction `first_rad` from +x.
+    /// The regular polygon of `sides` sides around `centre`, its first vertex in the direction
+    /// `first_rad` from +x.
     pub(crate) fn regular(sides: usize, centre: Point, radius: f64, first_rad: f64) -> Self {
         let vertex = |i: usize| {
             let (sin, cos) = (2.0 * PI * i as f64 / sides as f64 + first_rad).sin_cos();
@@ -25,7 +26,8 @@ impl Polygon {
         self.0.iter().copied().zip(self.0.iter().copied().cycle().skip(1))
     }
 
-    /// Area, m². Computed relative to the first vertex, so that a small polygon far from the origin does not lose precision.
+    /// Area, m². Computed relative to the first vertex, so that a small polygon far from the origin
+    /// does not lose precision.
     pub(crate) fn area(&self) -> f64 {
         let Some(&[x0, y0]) = self.0.first() else { return 0.0 };
         self.edges().map(|(a, b)| (a[0] - x0) * (b[1] - y0) - (b[0] - x0) * (a[1] - y0)).sum::<f64>() / 2.0
@@ -81,11 +83,13 @@ impl Polygon {
         self.0.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[axis]), high.max(p[axis])))
     }
 
-    /// Adds `sign · ∬ exp(−2πi f·(r − origin)) dA` to `spectrum[fy, fx]`, row by row of `fy`, cycles per metre.
+    /// Adds `sign · ∬ exp(−2πi f·(r − origin)) dA` to `spectrum[fy, fx]`, row by row of `fy`,
+    /// cycles per metre.
     ///
-    /// By the divergence theorem each edge from a to b contributes `i (k×e)/|k|² · e^{−ik·m} · sinc(k·e/2)`, with
-    /// k = 2πf, e = b − a, m its midpoint (Lee and Mittra, IEEE Trans. Antennas Propag. 31, 99, 1983). The
-    /// exponentials factor into one table per axis and edge, so that the inner loop has no transcendental function.
+    /// By the divergence theorem each edge from a to b contributes
+    /// `i (k×e)/|k|² · e^{−ik·m} · sinc(k·e/2)`, with k = 2πf, e = b − a, m its midpoint (Lee and
+    /// Mittra, IEEE Trans. Antennas Propag. 31, 99, 1983). The exponentials factor into one table
+    /// per axis and edge, so that the inner loop has no transcendental function.
     pub(crate) fn add_spectrum(&self, sign: f64, origin: Point, fy: &[f64], fx: &[f64], spectrum: &mut [Complex64]) {
         let unit = |angle: f64| Complex64::new(angle.cos(), angle.sin());
         for (a, b) in self.edges() {
@@ -98,7 +102,8 @@ impl Polygon {
                 for (value, &(kx, shift_x, half_x)) in row.iter_mut().zip(&along_x) {
                     let k2 = kx * kx + ky * ky;
                     let angle = (kx * e[0] + ky * e[1]) / 2.0;
-                    // Below 1e-4 the absolute rounding of the tables would dominate sin(x)/x; the error of the series is 1e-17.
+                    // Below 1e-4 the absolute rounding of the tables would dominate sin(x)/x; the
+                    // error of the series is 1e-17.
                     let sinc = if angle.abs() > 1e-4 {
                         (half_x.re * half_y.im + half_x.im * half_y.re) / angle
                     } else {

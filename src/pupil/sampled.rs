@@ -21,8 +21,9 @@ pub struct Pupil {
     pub grid: Grid,
     /// Fraction of each sample's area that is illuminated, `[y, x]`, in [0, 1].
     pub amplitude: Array2<f64>,
-    /// Segment at the centre of each sample, `[y, x]`; −1 where there is none. An illuminated sample always has an owner
-    /// (where its centre is in a gap, the segment that covers most of it).
+    /// Segment at the centre of each sample, `[y, x]`; −1 where there is none. An illuminated
+    /// sample always has an owner (where its centre is in a gap, the segment that covers most of
+    /// it).
     pub owner: Array2<i32>,
     /// The segments, ring by ring, counter-clockwise from +x.
     pub segments: Vec<Segment>,

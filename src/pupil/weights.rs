@@ -1,4 +1,5 @@
-//! Weights of the segments in the samples: by owner and by area. `band_limit` has the accurate model.
+//! Weights of the segments in the samples: by owner and by area. `band_limit` has the accurate
+//! model.
 
 use super::aperture::Aperture;
 use super::sampled::Pupil;
@@ -6,8 +7,8 @@ use crate::Result;
 use crate::grid::Grid;
 use ndarray::Array2;
 
-/// Weight of each segment in each illuminated sample: `E_p = e^{ikψ_p} Σ_s w_ps e^{ik c_s}`. Compressed sparse rows over the
-/// illuminated samples.
+/// Weight of each segment in each illuminated sample: `E_p = e^{ikψ_p} Σ_s w_ps e^{ik c_s}`.
+/// Compressed sparse rows over the illuminated samples.
 #[derive(Debug, Clone)]
 pub struct SegmentWeights {
     /// Number of segments.
@@ -20,13 +21,14 @@ pub struct SegmentWeights {
     pub segment: Vec<u32>,
     /// Weight of each entry (may be negative for a band-limited pupil).
     pub weight: Vec<f64>,
-    /// Σ over the aperture of amplitude², in units of this grid's samples, of the unfiltered pupil. It normalises the
-    /// PSF to a sum of 1 over an unbounded detector.
+    /// Σ over the aperture of amplitude², in units of this grid's samples, of the unfiltered pupil.
+    /// It normalises the PSF to a sum of 1 over an unbounded detector.
     pub energy: f64,
 }
 
 impl SegmentWeights {
-    /// The basic model: each sample belongs to its owner only, with the amplitude of the pupil. The energy is Σ A².
+    /// The basic model: each sample belongs to its owner only, with the amplitude of the pupil. The
+    /// energy is Σ A².
     pub fn hard(pupil: &Pupil) -> Self {
         let mut columns = vec![Vec::new(); pupil.segments.len()];
         for (cell, (&amplitude, &owner)) in pupil.amplitude.iter().zip(&pupil.owner).enumerate() {
@@ -38,7 +40,8 @@ impl SegmentWeights {
         Self::from_columns(pupil.grid.samples(), &columns, energy)
     }
 
-    /// The exact fraction of each sample's area that each segment covers. The energy is the area of the mirror in samples.
+    /// The exact fraction of each sample's area that each segment covers. The energy is the area of
+    /// the mirror in samples.
     ///
     /// # Errors
     /// Those of [`Aperture::pupil`].
@@ -46,7 +49,8 @@ impl SegmentWeights {
         Ok(Self::from_columns(grid.samples(), &aperture.shares(grid)?, aperture.energy(grid)))
     }
 
-    /// The entries of each illuminated sample, in the order of `illuminated`: (flat grid index, segments, weights).
+    /// The entries of each illuminated sample, in the order of `illuminated`: (flat grid index,
+    /// segments, weights).
     pub fn rows(&self) -> impl Iterator<Item = (usize, &[u32], &[f64])> + '_ {
         self.illuminated.iter().zip(self.offsets.windows(2)).map(|(&cell, ends)| {
             let entries = ends[0] as usize..ends[1] as usize;
@@ -54,7 +58,8 @@ impl SegmentWeights {
         })
     }
 
-    /// The weights of one segment as a map `[y, x]` on a grid of `samples` a side; 0 outside the segment.
+    /// The weights of one segment as a map `[y, x]` on a grid of `samples` a side; 0 outside the
+    /// segment.
     pub fn map(&self, segment: usize, samples: usize) -> Array2<f64> {
         let mut map = Array2::zeros((samples, samples));
         for (cell, segments, weights) in self.rows() {
@@ -65,7 +70,8 @@ impl SegmentWeights {
         map
     }
 
-    /// Converts lists of `(y·samples + x, weight)` per segment into rows over the illuminated samples.
+    /// Converts lists of `(y·samples + x, weight)` per segment into rows over the illuminated
+    /// samples.
     pub(super) fn from_columns(samples: usize, columns: &[Vec<(u32, f64)>], energy: f64) -> Self {
         let mut count = vec![0u32; samples * samples];
         for &(cell, _) in columns.iter().flatten() {

@@ -1,5 +1,6 @@
-//! First scene of an adaptive optics system, from a file of AOT: telescope, turbulence, sensor, mirror and loop in the scene's words. Maps
-//! and matrices stay in the file, which the scene names with the HDU in brackets.
+//! First scene of an adaptive optics system, from a file of AOT: telescope, turbulence, sensor,
+//! mirror and loop in the scene's words. Maps and matrices stay in the file, which the scene names
+//! with the HDU in brackets.
 
 use super::scene_text::{Lines, UNKNOWN, counted, float};
 use crate::hexagons::HexagonLayout;
@@ -14,11 +15,13 @@ pub(super) struct AotSections {
     pub(super) grid_m: f64,
     /// The section `[pupil]`.
     pub(super) pupil: String,
-    /// The sections `[modes]`, `[turbulence]`, `[wavefront_sensor]`, `[mirror]` and `[control]`, as far as the file has them.
+    /// The sections `[modes]`, `[turbulence]`, `[wavefront_sensor]`, `[mirror]` and `[control]`, as
+    /// far as the file has them.
     pub(super) others: String,
 }
 
-/// Largest number of Karhunen-Loève modes of the NCPA that a first scene asks for: that of the presets.
+/// Largest number of Karhunen-Loève modes of the NCPA that a first scene asks for: that of the
+/// presets.
 const NCPA_MODES: usize = 66;
 
 /// The sections that `file` gives; `name` is its name in the scene.
@@ -84,12 +87,14 @@ impl ActuatorGrid {
     }
 }
 
-/// Largest deviation of the side of the pupil's grid from that of the lenslets between actuators, relative: an extent is known to a sample,
-/// and a circle around the pupil is not always that of its corners.
+/// Largest deviation of the side of the pupil's grid from that of the lenslets between actuators,
+/// relative: an extent is known to a sample, and a circle around the pupil is not always that of
+/// its corners.
 const SIDE_TOLERANCE: f64 = 0.1;
 
-/// Side of the grid of pupil and lenslets, m, and where it is from. Where actuators lie on the corners of lenslets (Fried's geometry), the
-/// grid of actuators is widened to that of all lenslets.
+/// Side of the grid of pupil and lenslets, m, and where it is from. Where actuators lie on the
+/// corners of lenslets (Fried's geometry), the grid of actuators is widened to that of all
+/// lenslets.
 fn grid_m(file: &mut FitsReader, system: &AotSystem, grid: Option<&mut ActuatorGrid>) -> Result<(f64, String)> {
     let of_pupil = of_pupil(file, &system.telescope)?;
     let lenslets = system.sensor.as_ref().map_or(0, |sensor| sensor.across);
@@ -325,8 +330,9 @@ fn matrices(lines: &mut Lines, control: &AotControl, system: &AotSystem, name: &
     }
 }
 
-/// `control.matrix_command_nm` for the units of the matrices: nm that a command of 1 means, over mas that a slope of 1 means, because slopes
-/// are read in mas. `None` for units that are not known.
+/// `control.matrix_command_nm` for the units of the matrices: nm that a command of 1 means, over
+/// mas that a slope of 1 means, because slopes are read in mas. `None` for units that are not
+/// known.
 fn matrix_command_nm(control: &AotControl, sensor: &AotSensor) -> Option<f64> {
     let of = |matrix: &Option<AotImage>| {
         let unit = matrix.as_ref()?.unit.clone();

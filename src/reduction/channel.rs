@@ -33,8 +33,8 @@ pub(super) fn channel_of(frame: &RawFrame, scene: &Scene, overrides: &[String]) 
     }
 }
 
-/// How the cards of a frame contradict a scene, in what an estimate compares with the images that are made of it: noise and gain are the
-/// reduction's own.
+/// How the cards of a frame contradict a scene, in what an estimate compares with the images that
+/// are made of it: noise and gain are the reduction's own.
 fn contradiction(frame: &RawFrame, scene: &Scene, overrides: &[String]) -> Option<String> {
     let quantities = [Quantity::WavelengthNm, Quantity::BandNm, Quantity::PixelMas, Quantity::ExposureS];
     quantities.into_iter().find_map(|quantity| {

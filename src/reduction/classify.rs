@@ -38,8 +38,9 @@ const SHUTTERS: [&str; 2] = ["SHRNAME", "SHUTTER"];
 
 /// Class of the frame whose cards `card` gives as text, and the card that says so.
 ///
-/// In this order: the first card of [`TYPES`] that names a dark, bias, flat, sky or lamp; a word of `OBJECT` that does; a shutter
-/// that is closed; else it is the star. (NIRC2 writes `IMAGETYP = 'DATA'` into every frame, so that card alone is no proof of a star.)
+/// In this order: the first card of [`TYPES`] that names a dark, bias, flat, sky or lamp; a word of
+/// `OBJECT` that does; a shutter that is closed; else it is the star. (NIRC2 writes
+/// `IMAGETYP = 'DATA'` into every frame, so that card alone is no proof of a star.)
 pub(super) fn classify(card: impl Fn(&str) -> Option<String>) -> (FrameClass, String) {
     let stated = |key: &str| Some((key.to_owned(), card(key)?.trim().to_lowercase()));
     for (key, text) in TYPES.iter().filter_map(|key| stated(key)) {
@@ -59,7 +60,8 @@ pub(super) fn classify(card: impl Fn(&str) -> Option<String>) -> (FrameClass, St
     }
 }
 
-/// Class that a text in lower case names. An object's name counts by whole words, so that `Skylab` and `Darkstar` are stars.
+/// Class that a text in lower case names. An object's name counts by whole words, so that `Skylab`
+/// and `Darkstar` are stars.
 fn class_of(text: &str, is_type: bool) -> Option<FrameClass> {
     let words: Vec<&str> = text.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
     let names = |known: &[&str]| {

@@ -12,7 +12,8 @@ pub(super) struct CutOut {
 }
 
 impl CutOut {
-    /// The cut-out of `(rows, columns)` pixels about the star at `(x, y)` in a frame of `shape`; the reason where it does not fit.
+    /// The cut-out of `(rows, columns)` pixels about the star at `(x, y)` in a frame of `shape`;
+    /// the reason where it does not fit.
     pub(super) fn about(
         (x, y): (f64, f64),
         (rows, columns): (usize, usize),
@@ -32,7 +33,8 @@ impl CutOut {
         Ok(Self { top: top as usize, left: left as usize, rows, columns })
     }
 
-    /// Side of the largest even square about the star at `(x, y)` in a frame of `shape`, pixels; 0 for a star that is not on it.
+    /// Side of the largest even square about the star at `(x, y)` in a frame of `shape`, pixels; 0
+    /// for a star that is not on it.
     pub(super) fn largest_side((x, y): (f64, f64), (height, width): (usize, usize)) -> usize {
         let half = |at: f64, size: usize| (at.round() as i64).min(size as i64 - at.round() as i64);
         2 * half(x, width).min(half(y, height)).max(0) as usize

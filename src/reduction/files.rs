@@ -24,7 +24,8 @@ impl Pattern {
     /// Whether all of `text` fits the pattern.
     pub fn matches(&self, text: &str) -> bool {
         let text: Vec<char> = text.trim().to_lowercase().chars().collect();
-        // Place behind the last `*`, and the place in the text from which it is tried; one step back at most for each character.
+        // Place behind the last `*`, and the place in the text from which it is tried; one step
+        // back at most for each character.
         let (mut at, mut place, mut retry) = (0, 0, None);
         while place < text.len() {
             match self.0.get(at) {
@@ -44,8 +45,8 @@ impl Pattern {
     }
 }
 
-/// The FITS files that `paths` name, each once, in the order of their names: a file itself, the FITS files of a folder, or those
-/// files of a folder whose names fit a pattern.
+/// The FITS files that `paths` name, each once, in the order of their names: a file itself, the
+/// FITS files of a folder, or those files of a folder whose names fit a pattern.
 ///
 /// # Errors
 /// [`Error::File`] for a path that names no file.

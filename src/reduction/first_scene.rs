@@ -11,7 +11,8 @@ use crate::{Error, Result};
 use ndarray::{ArrayView2, Axis};
 use std::path::Path;
 
-/// Telescopes that a preset describes: what their name begins with, the preset, what the preset leaves out.
+/// Telescopes that a preset describes: what their name begins with, the preset, what the preset
+/// leaves out.
 const TELESCOPES: [(&[&str], &str, &str); 2] = [
     (
         &["KECK", "W. M. KECK"],
@@ -21,24 +22,28 @@ const TELESCOPES: [(&[&str], &str, &str); 2] = [
     (&["JWST"], "jwst-pair", ""),
 ];
 
-/// Pixels of cameras whose headers do not have them: name of the instrument, of the camera, mas. NIRC2: Yelda et al. 2010 (ApJ 725, 331)
-/// and Service et al. 2016 (PASP 128, 095004; 9.971 mas since April 2015) for the narrow camera; its manual for the others.
+/// Pixels of cameras whose headers do not have them: name of the instrument, of the camera, mas.
+/// NIRC2: Yelda et al. 2010 (ApJ 725, 331) and Service et al. 2016 (PASP 128, 095004; 9.971 mas
+/// since April 2015) for the narrow camera; its manual for the others.
 const CAMERAS: [(&str, &str, f64); 3] =
     [("NIRC2", "NARROW", 9.952), ("NIRC2", "MEDIUM", 19.829), ("NIRC2", "WIDE", 39.686)];
 
-/// Sections of a preset beside its pupil, and what is to be filled in where they stand for those of an unknown telescope.
+/// Sections of a preset beside its pupil, and what is to be filled in where they stand for those of
+/// an unknown telescope.
 const OTHERS: [(&str, &str); 3] = [
     ("modes", "the modes; these are those of Keck, KL modes of the mirror below"),
     ("mirror", "the deformable mirror, which gives the KL modes; this is that of Keck"),
     ("turbulence", "the turbulence, which gives the order of the KL modes; this is that of Keck"),
 ];
 
-/// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the header states of the camera; for a file
-/// of AOT telescope, camera, turbulence and loop as its tables state them. A line on what is not known says so in its comment. The scene
-/// is valid as it is.
+/// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the
+/// header states of the camera; for a file of AOT telescope, camera, turbulence and loop as its
+/// tables state them. A line on what is not known says so in its comment. The scene is valid as it
+/// is.
 ///
 /// # Errors
-/// Those of [`io::read_images`]; [`Error::Scene`] for a header whose values a scene does not accept.
+/// Those of [`io::read_images`]; [`Error::Scene`] for a header whose values a scene does not
+/// accept.
 pub fn first_scene(path: &Path) -> Result<String> {
     let mut file = FitsReader::open(path)?;
     let is_aot = io::aot::is_aot(&file);
@@ -95,7 +100,8 @@ fn of_preset(telescope: &str) -> Result<(String, String, String, f64)> {
     Ok((telescope.to_owned(), pupil, others, Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0)))
 }
 
-/// The section `[image]`; `is_cut_out`: the images are as an estimate takes them, and not raw frames.
+/// The section `[image]`; `is_cut_out`: the images are as an estimate takes them, and not raw
+/// frames.
 fn image(
     is_cut_out: bool,
     header: &FrameHeader,
@@ -143,7 +149,8 @@ fn image(
             line("rows", rows.to_string(), String::new());
         }
     } else {
-        // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it, and fits about the star.
+        // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it,
+        // and fits about the star.
         let side = (rows.min(columns) / 2 * 2).min((100.0 * sampling / 2.0).ceil() as usize * 2);
         let fits = star::find(&frame.to_owned(), side)
             .map_or(side, |star| CutOut::largest_side((star.x, star.y), (rows, columns)));

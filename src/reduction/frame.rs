@@ -67,13 +67,14 @@ pub struct RawFrame {
     pub header: FrameHeader,
     /// What a user should know of its file: repairs, images that were not read.
     pub notes: Vec<String>,
-    /// The same, where it puts nothing in doubt: amplifiers that were put together, cards that are not read.
+    /// The same, where it puts nothing in doubt: amplifiers that were put together, cards that are
+    /// not read.
     pub remarks: Vec<String>,
 }
 
 impl RawFrame {
-    /// Reads `path`: one frame, or those of a cube. `class` is theirs, whatever the header says; `None` for the header's. The card `turn_card`
-    /// has the angle of the pupil.
+    /// Reads `path`: one frame, or those of a cube. `class` is theirs, whatever the header says;
+    /// `None` for the header's. The card `turn_card` has the angle of the pupil.
     ///
     /// # Errors
     /// Those of [`io::read_images`]; [`Error::File`] for a file that a reduction wrote.
@@ -132,7 +133,8 @@ impl RawFrame {
 }
 
 impl FrameHeader {
-    /// Whether `other` has the same integration time and read mode, so that its dark signal per coadd is the same.
+    /// Whether `other` has the same integration time and read mode, so that its dark signal per
+    /// coadd is the same.
     pub(super) fn has_exposure_of(&self, other: &Self) -> bool {
         let same_time = match (self.itime_s, other.itime_s) {
             // Cameras round to milliseconds.
@@ -181,7 +183,8 @@ impl Cards<'_> {
         card.number().or_else(|| card.text()?.trim().parse().ok()).filter(|number: &f64| number.is_finite())
     }
 
-    /// Angle in a card: degrees, also as a text with its unit (`40.0 deg`, `0.698 rad`) or of degrees, minutes and seconds (`39:30:00`).
+    /// Angle in a card: degrees, also as a text with its unit (`40.0 deg`, `0.698 rad`) or of
+    /// degrees, minutes and seconds (`39:30:00`).
     fn angle_deg(&mut self, key: &str) -> Option<f64> {
         if let Some(number) = self.number(key) {
             return Some(number);

@@ -7,12 +7,15 @@ use super::noise::{clipped_scatter, median_variance, scatter};
 use crate::statistics::median;
 use ndarray::{Array2, Zip, s};
 
-/// Deviations of a pixel from its surroundings, in robust standard deviations, from which it is bad. Of a million pixels with normal
-/// noise none is by chance (6e-16 each); the pixels of real detectors have wider tails, and lose their worst part.
+/// Deviations of a pixel from its surroundings, in robust standard deviations, from which it is
+/// bad. Of a million pixels with normal noise none is by chance (6e-16 each); the pixels of real
+/// detectors have wider tails, and lose their worst part.
 const OUTLIER: f64 = 8.0;
-/// Responses relative to the surroundings that are accepted. Dust and gradients within 50 % are what a flat is for.
+/// Responses relative to the surroundings that are accepted. Dust and gradients within 50 % are
+/// what a flat is for.
 const RESPONSES: [f64; 2] = [0.5, 1.5];
-/// Least scatters of a dark, in counts, and of a flat: the median of whole counts may not scatter at all.
+/// Least scatters of a dark, in counts, and of a flat: the median of whole counts may not scatter
+/// at all.
 const LEAST_SPREAD_ADU: f64 = 0.3;
 const LEAST_SPREAD: f64 = 1e-3;
 /// Least response relative to the median of the flat: the vignetted part of a field is no detector.
@@ -26,7 +29,8 @@ pub(super) struct Dark {
     pub(super) frames: usize,
     /// Header of a frame behind it.
     header: FrameHeader,
-    /// Read noise of one coadd, with the noise of the dark current: from the differences of frames, counts RMS; `None` of one frame.
+    /// Read noise of one coadd, with the noise of the dark current: from the differences of frames,
+    /// counts RMS; `None` of one frame.
     pub(super) read_noise_adu: Option<f64>,
     /// Variance of `counts` over that of one coadd.
     pub(super) variance: f64,
@@ -38,7 +42,8 @@ pub(super) struct Flat {
     pub(super) filter: String,
 }
 
-/// Median over frames, `[y, x]`: cosmic rays and stars in a few of them have no effect. NaN where no frame has a value.
+/// Median over frames, `[y, x]`: cosmic rays and stars in a few of them have no effect. NaN where
+/// no frame has a value.
 pub(super) fn median_of(frames: &[Array2<f64>]) -> Array2<f64> {
     let Some(first) = frames.first() else { return Array2::zeros((0, 0)) };
     let mut out = Array2::zeros(first.dim());
@@ -86,8 +91,9 @@ pub(super) fn darks(frames: &[RawFrame], rows: &mut [LogRow]) -> Vec<Dark> {
     groups.iter().map(of_group).collect()
 }
 
-/// The dark that belongs to a frame: of its integration time and read mode. The counts of coadds are summed, so the number of coadds
-/// may differ; the bias of a detector, which does not grow with time, forbids to scale the time.
+/// The dark that belongs to a frame: of its integration time and read mode. The counts of coadds
+/// are summed, so the number of coadds may differ; the bias of a detector, which does not grow with
+/// time, forbids to scale the time.
 pub(super) fn dark_of<'a>(darks: &'a [Dark], frame: &RawFrame) -> Option<&'a Dark> {
     darks.iter().find(|dark| dark.header.has_exposure_of(&frame.header))
 }
@@ -97,7 +103,8 @@ pub(super) fn exposures(darks: &[Dark]) -> String {
     darks.iter().map(|dark| dark.header.exposure()).collect::<Vec<_>>().join(", ")
 }
 
-/// The flats, one for each filter, with warnings. The dark signal of a flat is that of frames with the lamp off, else a dark's.
+/// The flats, one for each filter, with warnings. The dark signal of a flat is that of frames with
+/// the lamp off, else a dark's.
 pub(super) fn flats(frames: &[RawFrame], darks: &[Dark], rows: &mut [LogRow], warnings: &mut Vec<String>) -> Vec<Flat> {
     let filter = |frame: &RawFrame| frame.header.filter.clone().unwrap_or_default();
     let with = |class: FrameClass| frames.iter().enumerate().filter(move |(_, frame)| frame.class == class);

@@ -6,11 +6,14 @@
 //! image = g·(raw − c·D)/F − s·S
 //! ```
 //!
-//! with the gain `g`, the dark of one coadd `D`, the flat `F` (median 1) and the sky `S` scaled to the exposure. What remains of
-//! the raw frame's noise beside the photon noise of the star is one number per channel, the card `RON_E`: `noise.rs`.
+//! with the gain `g`, the dark of one coadd `D`, the flat `F` (median 1) and the sky `S` scaled to
+//! the exposure. What remains of the raw frame's noise beside the photon noise of the star is one
+//! number per channel, the card `RON_E`: `noise.rs`.
 //!
-//! * [`RawFrame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
-//! * [`reduce`] makes masters (`masters`), finds the star (`star`, `found`), subtracts the sky (`sky`), cuts out, and rejects.
+//! * [`RawFrame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header:
+//!   `classify`.
+//! * [`reduce`] makes masters (`masters`), finds the star (`star`, `found`), subtracts the sky
+//!   (`sky`), cuts out, and rejects.
 //! * [`first_scene`] writes the scene to begin with.
 //! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
 

@@ -1,8 +1,9 @@
 //! Noise of a reduced image.
 //!
-//! For a frame of `c` coadds with the noise `r` of a dark (electrons RMS of one coadd: reads and dark current, measured where there are two
-//! darks, else the read noise that is stated), dark `D` of `k` frames of `C` coadds each and a sky from
-//! `n` frames of `c'` coadds with the level `B`, scaled by `s`, the variance of a pixel without light of the star is
+//! For a frame of `c` coadds with the noise `r` of a dark (electrons RMS of one coadd: reads and
+//! dark current, measured where there are two darks, else the read noise that is stated), dark `D`
+//! of `k` frames of `C` coadds each and a sky from `n` frames of `c'` coadds with the level `B`,
+//! scaled by `s`, the variance of a pixel without light of the star is
 //!
 //! ```text
 //! c·r²                                   the reads of the frame
@@ -10,14 +11,16 @@
 //! + v(n)·s²·(c'·r² + B) + s·B            the sky: its frames, and the photons of the sky in the frame itself
 //! ```
 //!
-//! with `v(n)` the variance of a median over that of one value. Its root is the card `RON_E`. The noise of the flat is neglected:
-//! a flat of 10⁵ electrons adds 0.3 % of a pixel's signal, as much as photon noise at 10⁵ electrons.
+//! with `v(n)` the variance of a median over that of one value. Its root is the card `RON_E`. The
+//! noise of the flat is neglected: a flat of 10⁵ electrons adds 0.3 % of a pixel's signal, as much
+//! as photon noise at 10⁵ electrons.
 
 use crate::statistics::{NORMAL_MEDIAN_DEVIATION, median};
 
-/// Variance of the median of `count` normal values over the variance of one: π/(2·(count + π/2 − 1)) for odd counts (within 2 % of
-/// Kendall & Stuart, The Advanced Theory of Statistics, vol. 1, section 14), of two values that of their mean, and of other even
-/// counts that of one value less, times the gain of the mean of the middle two.
+/// Variance of the median of `count` normal values over the variance of one: π/(2·(count + π/2 −
+/// 1)) for odd counts (within 2 % of Kendall & Stuart, The Advanced Theory of Statistics, vol. 1,
+/// section 14), of two values that of their mean, and of other even counts that of one value less,
+/// times the gain of the mean of the middle two.
 pub(super) fn median_variance(count: usize) -> f64 {
     use std::f64::consts::PI;
     match count {
@@ -37,11 +40,12 @@ pub(super) fn scatter(values: impl Iterator<Item = f64>) -> f64 {
     median(&values) / NORMAL_MEDIAN_DEVIATION
 }
 
-/// Deviations, in robust standard deviations, within which values count for [`clipped_scatter`]: of normal noise all but 6e-7.
+/// Deviations, in robust standard deviations, within which values count for [`clipped_scatter`]: of
+/// normal noise all but 6e-7.
 const CLIP: f64 = 5.0;
 
-/// Standard deviation of the finite values but for outliers. The median deviation of whole counts is itself a whole count, which is off by 5 %
-/// for noise of 5 counts; the root mean square is not.
+/// Standard deviation of the finite values but for outliers. The median deviation of whole counts
+/// is itself a whole count, which is off by 5 % for noise of 5 counts; the root mean square is not.
 pub(super) fn clipped_scatter(values: impl Iterator<Item = f64>) -> f64 {
     let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
     let centre = median(&values);
@@ -134,7 +138,8 @@ mod tests {
             values.iter_mut().step_by(1000).for_each(|value| *value += 500.0);
             let expected = (sigma * sigma + 1.0 / 12.0f64).sqrt();
             let found = clipped_scatter(values.into_iter());
-            // 20,000 values know it to 0.5 %: four times that; below half a count the rounding is no uniform noise.
+            // 20,000 values know it to 0.5 %: four times that; below half a count the rounding is
+            // no uniform noise.
             let tolerance = if sigma < 0.5 { 0.3 } else { 0.02 };
             assert!((found / expected - 1.0).abs() < tolerance, "{sigma}: {found}");
         }
@@ -149,7 +154,8 @@ mod tests {
                 .map(|_| median(&(0..count).map(|_| StandardNormal.sample(&mut rng)).collect::<Vec<f64>>()))
                 .collect();
             let variance = draws.iter().map(|draw| draw * draw).sum::<f64>() / draws.len() as f64;
-            // A variance of 4000 draws is known to 2.2 %: four times that; even counts are below the formula by up to 6 %.
+            // A variance of 4000 draws is known to 2.2 %: four times that; even counts are below
+            // the formula by up to 6 %.
             let ratio = variance / median_variance(count);
             assert!((0.85..1.09).contains(&ratio), "{count}: {ratio}");
         }

@@ -3,10 +3,12 @@
 use super::frame::RawFrame;
 use crate::scene::Scene;
 
-/// Range of a known angle over the frames from which the pupil may have turned: its edge by 1 % of a segment.
+/// Range of a known angle over the frames from which the pupil may have turned: its edge by 1 % of
+/// a segment.
 const TURNING_DEG: f64 = 0.1;
 
-/// The keyword in a value of `image.pupil_turn_card`, and 1 for an angle that runs counter-clockwise, −1 for the opposite.
+/// The keyword in a value of `image.pupil_turn_card`, and 1 for an angle that runs
+/// counter-clockwise, −1 for the opposite.
 pub(super) fn card_and_sense(card: &str) -> (&str, f64) {
     card.strip_prefix('-').map_or((card, 1.0), |card| (card, -1.0))
 }
@@ -22,7 +24,8 @@ pub(super) fn check(frame: &RawFrame, scene: &Scene) -> std::result::Result<(), 
     }
 }
 
-/// Turn of the pupil in each of these frames, degrees, within half a turn of 0; `None` where `scene` names no card.
+/// Turn of the pupil in each of these frames, degrees, within half a turn of 0; `None` where
+/// `scene` names no card.
 pub(super) fn turns_deg<'a>(scene: &Scene, frames: impl Iterator<Item = &'a RawFrame>) -> Option<Vec<f64>> {
     let (_, sense) = card_and_sense(scene.image.pupil_turn_card.as_deref()?);
     let zero_deg = scene.image.pupil_turn_zero_deg;
@@ -34,7 +37,8 @@ pub(super) fn turns_deg<'a>(scene: &Scene, frames: impl Iterator<Item = &'a RawF
     frames.map(of).collect()
 }
 
-/// A sentence on a card of the frames by which the pupil may have turned, where the scene says nothing of it.
+/// A sentence on a card of the frames by which the pupil may have turned, where the scene says
+/// nothing of it.
 pub(super) fn unnamed_turn<'a>(scene: &Scene, frames: impl Iterator<Item = &'a RawFrame> + Clone) -> Option<String> {
     if scene.image.pupil_turn_card.is_some() || scene.image.pupil_turns_deg.is_some() {
         return None;

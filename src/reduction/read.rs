@@ -7,8 +7,9 @@ use super::pupil_turns;
 use crate::Error;
 use std::path::PathBuf;
 
-/// The frames in `files`, each with the class that a list gives it, and a row of the log for each file that cannot be read. `turn_card` is the
-/// card with the angle of the pupil, with a sign or without.
+/// The frames in `files`, each with the class that a list gives it, and a row of the log for each
+/// file that cannot be read. `turn_card` is the card with the angle of the pupil, with a sign or
+/// without.
 pub fn read_frames(
     files: &[(PathBuf, Option<FrameClass>)],
     rules: &[ChannelRule],

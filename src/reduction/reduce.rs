@@ -28,8 +28,9 @@ struct Image {
 /// Reduces `frames` to the images of the channels of `scene`.
 ///
 /// # Errors
-/// [`Error::Image`] where no frame of the star is left, or one of a channel; for counts without a gain or with two; for frames of another
-/// shape than the mask; [`Error::Value`] where the memory does not hold the frames.
+/// [`Error::Image`] where no frame of the star is left, or one of a channel; for counts without a
+/// gain or with two; for frames of another shape than the mask; [`Error::Value`] where the memory
+/// does not hold the frames.
 pub fn reduce(scene: &Scene, frames: &[RawFrame], options: &ReductionOptions) -> Result<Reduction> {
     let is_averaged = |frame: &RawFrame| scene.image.coadds_are_averaged || frame.header.has_averaged_coadds;
     if frames.iter().any(is_averaged) {
@@ -70,7 +71,8 @@ impl<'a> Reducer<'a> {
             let ((y, x), (rows, columns)) = (bad.dim(), shape);
             return Err(Error::Image(format!("the mask has {x}x{y} pixels, where the frames have {columns}x{rows}")));
         }
-        // Each frame in electrons, and a copy of it without hot pixels with two tables of sums while its star is looked for.
+        // Each frame in electrons, and a copy of it without hot pixels with two tables of sums
+        // while its star is looked for.
         let bytes = (frames.len() + 4) as u64 * (shape.0 * shape.1) as u64 * 8;
         machine::check_memory(format_args!("{} frames", frames.len()), bytes, "reduce fewer frames at once")?;
         let calibration = DetectorCalibration::new(frames, options, &mut rows);
@@ -147,7 +149,8 @@ impl<'a> Reducer<'a> {
         self.assemble(name, scene, &images)
     }
 
-    /// Cuts the image of the star out; `None`, with the reason in the log, for a frame that is rejected.
+    /// Cuts the image of the star out; `None`, with the reason in the log, for a frame that is
+    /// rejected.
     fn cut_out(&mut self, one: &StarFrame, all: &[StarFrame], skies: &[Calibrated], scene: &Scene) -> Option<Image> {
         let &StarFrame { frame, part, background_e, .. } = one;
         let of_dithers = || if self.options.is_without_dither_sky { None } else { sky::of_dithers(one, all) };
@@ -184,8 +187,8 @@ impl<'a> Reducer<'a> {
         }
         let stated_read_noise_e = stated_read_noise_e(frame.frame, scene);
         let of_dark = frame.dark.and_then(|dark| Some(self.calibration.darks[dark].read_noise_adu? * frame.gain));
-        // Darks have the photon noise of the dark current, which no read noise states. Without a dark nothing tells the sky, which has
-        // photon noise, from the bias, which has none.
+        // Darks have the photon noise of the dark current, which no read noise states. Without a
+        // dark nothing tells the sky, which has photon noise, from the bias, which has none.
         let known = of_dark.or(stated_read_noise_e).filter(|_| frame.dark.is_some());
         let variance = match known {
             Some(read_noise_e) => {

@@ -33,7 +33,8 @@ pub struct Reduction {
     pub log: Vec<LogRow>,
     /// What a user should know.
     pub warnings: Vec<String>,
-    /// What was read of the files in another way than a user may expect, which puts nothing in doubt.
+    /// What was read of the files in another way than a user may expect, which puts nothing in
+    /// doubt.
     pub remarks: Vec<String>,
     /// Pixels of the detector that the mask, the darks or the flats mark.
     pub bad_pixels: usize,

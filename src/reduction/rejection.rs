@@ -7,26 +7,29 @@ use super::star::Spot;
 use crate::statistics::{NORMAL_MEDIAN_DEVIATION, median};
 use ndarray::{Array2, Zip};
 
-/// Least signal-to-noise ratio of the box in which the star is found. The best of all boxes of a frame of noise has about 4.5.
+/// Least signal-to-noise ratio of the box in which the star is found. The best of all boxes of a
+/// frame of noise has about 4.5.
 const LEAST_SNR: f64 = 10.0;
 /// Pixels with one largest value that are saturation where no level is known.
 const PLATEAU: usize = 4;
-/// Elongation over the median of its channel from which a frame is trailed, whatever the others scatter: a segmented telescope's spot
-/// is round to 10 or 20 %.
+/// Elongation over the median of its channel from which a frame is trailed, whatever the others
+/// scatter: a segmented telescope's spot is round to 10 or 20 %.
 const TRAILED: f64 = 1.5;
-/// Deviations from the median elongation, in robust standard deviations, from which a frame is trailed, among enough frames.
+/// Deviations from the median elongation, in robust standard deviations, from which a frame is
+/// trailed, among enough frames.
 const TRAILED_SIGMAS: f64 = 8.0;
 /// Frames from which their scatter is known.
 const ENOUGH: usize = 5;
 /// Least excess of elongation that counts.
 const LEAST_EXCESS: f64 = 0.1;
 
-/// Excess of a background over that of the frame's equals, relative to it, from which it is another light: the sky of the infrared
-/// changes by tens of per cent in a night.
+/// Excess of a background over that of the frame's equals, relative to it, from which it is another
+/// light: the sky of the infrared changes by tens of per cent in a night.
 const OTHER_LIGHT: f64 = 1.0;
 /// The same in standard deviations of a pixel, for a background near 0.
 const OTHER_LIGHT_SIGMAS: f64 = 5.0;
-/// Least light of a star over that of the other frames: behind clouds that take more, an image adds next to nothing to a sequence.
+/// Least light of a star over that of the other frames: behind clouds that take more, an image adds
+/// next to nothing to a sequence.
 const FAINT: f64 = 0.1;
 
 /// Why a frame with this spot has no star to use.
@@ -42,8 +45,10 @@ pub(super) fn starless(spot: Option<Spot>) -> Option<String> {
     }
 }
 
-/// Why a frame with this background is none of the star, by the backgrounds, with the scatter of a pixel, of those of its filter and exposure: a flat that
-/// no card names is brighter. The lower quartile is compared, which neither one frame that was read in part nor as many flats as stars change.
+/// Why a frame with this background is none of the star, by the backgrounds, with the scatter of a
+/// pixel, of those of its filter and exposure: a flat that no card names is brighter. The lower
+/// quartile is compared, which neither one frame that was read in part nor as many flats as stars
+/// change.
 pub(super) fn other_background(own_e: f64, mut alike: Vec<(f64, f64)>) -> Option<String> {
     alike.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (usual_e, scatter_e) = *alike.get(alike.len().saturating_sub(1) / 4)?;
@@ -56,8 +61,9 @@ pub(super) fn other_background(own_e: f64, mut alike: Vec<(f64, f64)>) -> Option
     })
 }
 
-/// Why a frame with a spot of this light is none of the star, by those of its filter and exposure: a dark has structure, too. The upper quartile is
-/// compared, which as many as two darks for one star do not change.
+/// Why a frame with a spot of this light is none of the star, by those of its filter and exposure:
+/// a dark has structure, too. The upper quartile is compared, which as many as two darks for one
+/// star do not change.
 pub(super) fn faint(own_e: f64, mut alike: Vec<f64>) -> Option<String> {
     alike.sort_by(f64::total_cmp);
     let last = alike.len().checked_sub(1)?;
@@ -70,7 +76,8 @@ pub(super) fn faint(own_e: f64, mut alike: Vec<f64>) -> Option<String> {
     })
 }
 
-/// Largest value of one coadd in a cut-out, in the unit of the file, and why the frame is saturated.
+/// Largest value of one coadd in a cut-out, in the unit of the file, and why the frame is
+/// saturated.
 pub(super) fn saturation(
     frame: &RawFrame,
     bad: &Array2<bool>,
@@ -109,8 +116,9 @@ pub(super) fn saturation(
     (peak, reason)
 }
 
-/// Number of pixels of `values` that have one largest value, `peak`, where they are a plateau. Where the level of saturation `is_known` few
-/// faint pixels of whole counts are none: fewer must be just below than on it.
+/// Number of pixels of `values` that have one largest value, `peak`, where they are a plateau.
+/// Where the level of saturation `is_known` few faint pixels of whole counts are none: fewer must
+/// be just below than on it.
 fn plateau(values: &[f64], peak: f64, is_known: bool) -> Option<usize> {
     let equal = values.iter().filter(|value| **value == peak).count();
     // 2 % of a clipped peak, and more than the noise of a few counts.

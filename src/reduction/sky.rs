@@ -8,7 +8,8 @@ use super::star_frame::StarFrame;
 use crate::statistics::median;
 use ndarray::Array2;
 
-/// Largest part of a cut-out without a sky: those pixels are bad. Where more is missing, the dithers overlap.
+/// Largest part of a cut-out without a sky: those pixels are bad. Where more is missing, the
+/// dithers overlap.
 const MOST_MISSING: f64 = 0.02;
 
 /// Sky in the cut-out of a frame.
@@ -19,8 +20,9 @@ pub(super) struct Sky {
     pub(super) terms: SkyTerms,
 }
 
-/// Ratio of the exposure of `frame` to that of `other`; `None` where their signals are not proportional. The counts of coadds are
-/// summed; other integration times are proportional where both are without bias.
+/// Ratio of the exposure of `frame` to that of `other`; `None` where their signals are not
+/// proportional. The counts of coadds are summed; other integration times are proportional where
+/// both are without bias.
 fn scale(frame: &Calibrated, other: &Calibrated) -> Option<f64> {
     let coadds = frame.frame.coadds() / other.frame.coadds();
     if frame.frame.header.has_exposure_of(&other.frame.header) {
@@ -31,7 +33,8 @@ fn scale(frame: &Calibrated, other: &Calibrated) -> Option<f64> {
     has_darks.then_some(coadds * own / its)
 }
 
-/// The sky of `frame` in `part`, as the median of `skies`; `None` where none of them fits its filter and exposure.
+/// The sky of `frame` in `part`, as the median of `skies`; `None` where none of them fits its
+/// filter and exposure.
 pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrated]) -> Option<Sky> {
     let fitting: Vec<(&Calibrated, f64)> =
         skies.iter().filter(|sky| frame.has_filter_of(sky)).filter_map(|sky| Some((sky, scale(frame, sky)?))).collect();
@@ -47,7 +50,8 @@ pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrate
     sky(frame, first, median_of(&same), scale, median_variance(same.len()))
 }
 
-/// The sky in the cut-out of `one`, as the median of the other frames of `all` where their stars are not; `None` where they overlap.
+/// The sky in the cut-out of `one`, as the median of the other frames of `all` where their stars
+/// are not; `None` where they overlap.
 pub(super) fn of_dithers(one: &StarFrame, all: &[StarFrame]) -> Option<Sky> {
     let (frame, part) = (one.frame, one.part);
     let others: Vec<&StarFrame> =

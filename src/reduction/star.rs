@@ -6,12 +6,13 @@ use ndarray::{Array2, s};
 
 /// Iterations of the centroid at most; it settles in two or three.
 const ITERATIONS: usize = 12;
-/// Threshold of the centroid, relative to the peak of the smoothed image: above the speckle halo, below the rim of a defocused spot.
+/// Threshold of the centroid, relative to the peak of the smoothed image: above the speckle halo,
+/// below the rim of a defocused spot.
 const THRESHOLD: f64 = 0.15;
 /// Threshold of the centroid in standard deviations of the smoothed image.
 const THRESHOLD_SIGMAS: f64 = 4.0;
-/// Value of a pixel over the second largest of its neighbours from which it is a spike. A star in focus that is sampled with two pixels
-/// per λ/D has about 2.
+/// Value of a pixel over the second largest of its neighbours from which it is a spike. A star in
+/// focus that is sampled with two pixels per λ/D has about 2.
 const SPIKE: f64 = 5.0;
 
 /// Spot of a star.
@@ -64,19 +65,20 @@ impl Sums {
     }
 }
 
-/// The brightest compact source in `image` (NaN where it is bad), of the size of a cut-out of side `window` or smaller; `None` for an
-/// image without good pixels.
+/// The brightest compact source in `image` (NaN where it is bad), of the size of a cut-out of side
+/// `window` or smaller; `None` for an image without good pixels.
 ///
-/// It is found as the square of a quarter of the window with the most light above the ring about it, so that neither a hot pixel
-/// nor a slope of the sky counts, and centred on the centroid of what rises above [`THRESHOLD`] in the smoothed image.
+/// It is found as the square of a quarter of the window with the most light above the ring about
+/// it, so that neither a hot pixel nor a slope of the sky counts, and centred on the centroid of
+/// what rises above [`THRESHOLD`] in the smoothed image.
 pub(super) fn find(image: &Array2<f64>, window: usize) -> Option<Spot> {
     let clean = without_spikes(image);
     let noise = scatter(clean.iter().copied());
     let sums = Sums::new(&clean);
     let (box_side, ring_side) = ((window / 4).max(3), (3 * window / 4).max(9));
     let mut best: Option<((usize, usize), f64, f64)> = None;
-    // A ring that the edge of the frame cuts is not symmetric: on a slope it differs from its centre. The cut-out of a star nearer to
-    // the edge does not fit the frame anyway.
+    // A ring that the edge of the frame cuts is not symmetric: on a slope it differs from its
+    // centre. The cut-out of a star nearer to the edge does not fit the frame anyway.
     let [ys, xs] = [clean.nrows(), clean.ncols()].map(|size| {
         let margin = if size > ring_side { ring_side.div_ceil(2) } else { 0 };
         margin..size - margin
@@ -110,7 +112,8 @@ pub(super) fn find(image: &Array2<f64>, window: usize) -> Option<Spot> {
     Some(spot)
 }
 
-/// Centroid and widths of what is above the threshold in the window about a pixel; `None` where nothing is.
+/// Centroid and widths of what is above the threshold in the window about a pixel; `None` where
+/// nothing is.
 fn centroid(sums: &Sums, (y, x): (usize, usize), window: usize, background: f64, noise: f64) -> Option<Spot> {
     let (rows, columns) = (sums.value.nrows() - 1, sums.value.ncols() - 1);
     let width = (window / 16).max(3) | 1;
@@ -141,7 +144,8 @@ fn centroid(sums: &Sums, (y, x): (usize, usize), window: usize, background: f64,
     Some(Spot { x: x as f64 + u, y: y as f64 + v, light_e: 0.0, snr: 0.0, elongation })
 }
 
-/// `image` with NaN in pixels that stand far above all but one of their neighbours: hot pixels and cosmic rays.
+/// `image` with NaN in pixels that stand far above all but one of their neighbours: hot pixels and
+/// cosmic rays.
 fn without_spikes(image: &Array2<f64>) -> Array2<f64> {
     let noise = scatter(image.iter().copied());
     let background = median(&image.iter().copied().filter(|value| value.is_finite()).collect::<Vec<_>>());

@@ -1,4 +1,5 @@
-//! Frames in which a star was found, and the rejections that come before the sky: that of the dithers is made of frames that are used.
+//! Frames in which a star was found, and the rejections that come before the sky: that of the
+//! dithers is made of frames that are used.
 
 use super::calibration::Calibrated;
 use super::cut_out::CutOut;
@@ -23,12 +24,14 @@ pub(super) struct StarFrame<'a> {
     pub(super) light_e: f64,
 }
 
-/// The frames of `group`, a channel whose scene is `scene`, with a star to use; `rows` has the reasons of the others.
+/// The frames of `group`, a channel whose scene is `scene`, with a star to use; `rows` has the
+/// reasons of the others.
 pub(super) fn usable<'a>(group: &'a [Calibrated<'a>], scene: &Scene, rows: &mut [LogRow]) -> Vec<StarFrame<'a>> {
     let shape = scene.image.frame_shape();
     let mut found: Vec<StarFrame> =
         group.iter().filter_map(|frame| find(frame, shape, &mut rows[frame.index])).collect();
-    // A flat is brighter than a detector counts, and a star that saturates it no measure of the light of others: in this order.
+    // A flat is brighter than a detector counts, and a star that saturates it no measure of the
+    // light of others: in this order.
     reject(&mut found, rows, |one, alike| {
         rejection::other_background(
             one.background_e,
@@ -68,8 +71,8 @@ fn find<'a>(frame: &'a Calibrated<'a>, shape: (usize, usize), row: &mut LogRow) 
     Some(StarFrame { frame, star, part, background_e, scatter_e, light_e: spot.light_e })
 }
 
-/// Rejects the frames that are not like those of their filter and exposure, themselves included, by `reason`: no card names every dark and flat. Those that the
-/// user names are not doubted.
+/// Rejects the frames that are not like those of their filter and exposure, themselves included, by
+/// `reason`: no card names every dark and flat. Those that the user names are not doubted.
 fn reject(
     found: &mut Vec<StarFrame>,
     rows: &mut [LogRow],

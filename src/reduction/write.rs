@@ -8,11 +8,13 @@ use crate::scene::Scene;
 use std::path::Path;
 
 impl Reduction {
-    /// Writes the images of each channel (`IMAGES`, electrons, with `EXTVER` 1, 2, ... and the card `CHANNEL`) and their bad pixels
-    /// (`BADPIX`), the log (table `REDUCTION`) and the scene (table `SCENE`), with the turns of the pupil. The write is atomic.
+    /// Writes the images of each channel (`IMAGES`, electrons, with `EXTVER` 1, 2, ... and the card
+    /// `CHANNEL`) and their bad pixels (`BADPIX`), the log (table `REDUCTION`) and the scene (table
+    /// `SCENE`), with the turns of the pupil. The write is atomic.
     ///
     /// # Errors
-    /// [`crate::Error::File`] if the file cannot be written; [`crate::Error::Scene`] for a scene whose pupil cannot turn.
+    /// [`crate::Error::File`] if the file cannot be written; [`crate::Error::Scene`] for a scene
+    /// whose pupil cannot turn.
     pub fn write(&self, path: &Path, scene: &Scene) -> Result<()> {
         let scene = &self.with_turns(scene)?;
         let mut file = FitsWriter::create(path)?;

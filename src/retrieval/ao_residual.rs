@@ -1,5 +1,5 @@
-//! Residual of an AO system as predicted from its scene: power spectral densities of what an exposure averages, and of what changes
-//! during it.
+//! Residual of an AO system as predicted from its scene: power spectral densities of what an
+//! exposure averages, and of what changes during it.
 
 use crate::Result;
 use crate::modes::VonKarman;
@@ -7,7 +7,8 @@ use crate::scene::{LoopLag, System};
 use crate::telescope::Telescope;
 use std::f64::consts::{PI, TAU};
 
-/// Aliases on either side of the band along x and y that are summed: the von Kármán PSD falls by 2⁻¹¹ᐟ³ to the second.
+/// Aliases on either side of the band along x and y that are summed: the von Kármán PSD falls by
+/// 2⁻¹¹ᐟ³ to the second.
 const ALIASES: i32 = 2;
 
 /// Parameters of a scene from which its AO residual is predicted.
@@ -51,12 +52,14 @@ impl AoResidual {
         self.sum_over_layers(fx, fy, |turns| sinc(turns).powi(2))
     }
 
-    /// PSD at a frequency of what changes during an exposure, about the mean of the exposure, nm²·m²; 0 where the layers are not known.
+    /// PSD at a frequency of what changes during an exposure, about the mean of the exposure,
+    /// nm²·m²; 0 where the layers are not known.
     pub(super) fn change_density(&self, fx: f64, fy: f64) -> f64 {
         if self.layers.is_empty() { 0.0 } else { self.sum_over_layers(fx, fy, |turns| 1.0 - sinc(turns).powi(2)) }
     }
 
-    /// PSD at a frequency, nm²·m², each layer times `share` of the turns of its phase during an exposure.
+    /// PSD at a frequency, nm²·m², each layer times `share` of the turns of its phase during an
+    /// exposure.
     fn sum_over_layers(&self, fx: f64, fy: f64, share_of: impl Fn(f64) -> f64) -> f64 {
         let own = self.turbulence.psd_nm2_m2(fx.hypot(fy));
         let in_band = fx.abs().max(fy.abs()) <= self.cut_off_per_m;
@@ -118,7 +121,8 @@ mod tests {
         for frequency_hz in [2.0, 10.0, 30.0, 60.0] {
             let of = |lag: f64| responses(&(0.3, LoopLag::new(lag), frame_s), frequency_hz)[0];
             let lags = [1.0, 1.2, 1.6, 1.9, 2.0, 2.5, 3.0];
-            // Below the loop's bandwidth the rejected share grows with the lag: |E|² ∝ ω²/(g² + ω²(1 + g − 2gL)).
+            // Below the loop's bandwidth the rejected share grows with the lag: |E|² ∝ ω²/(g² +
+            // ω²(1 + g − 2gL)).
             assert!(lags.windows(2).all(|pair| of(pair[0]) < of(pair[1])), "{frequency_hz} Hz: {:?}", lags.map(of));
             // By hand, for a mixture of one frame and two.
             let z = num_complex::Complex64::from_polar(1.0, -TAU * frequency_hz * frame_s);
@@ -139,7 +143,8 @@ mod tests {
             // In 1 ns nothing moves; sums of seven layers round to 1e-15.
             assert!((sum / whole - 1.0).abs() < 1e-9 && none.change_density(fx, fy) < 1e-9 * whole, "{fx} {fy}");
         }
-        // The ground layer, half of the turbulence, moves by a whole period of 15 cycles/m in 10 ms, which leaves nothing in the mean.
+        // The ground layer, half of the turbulence, moves by a whole period of 15 cycles/m in 10
+        // ms, which leaves nothing in the mean.
         assert!(usual.change_density(15.0, 0.0) > usual.density(15.0, 0.0));
     }
 }

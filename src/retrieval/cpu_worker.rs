@@ -9,8 +9,8 @@ use crate::modal::PreparedFrame;
 use crate::optimize::Advance;
 
 impl<T: Polynomial> RetrievalWorkspace<T> {
-    /// Retrieves the wavefront of one image on this thread. `check_cancel` is called before each evaluation: an image of a large telescope
-    /// takes seconds.
+    /// Retrieves the wavefront of one image on this thread. `check_cancel` is called before each
+    /// evaluation: an image of a large telescope takes seconds.
     ///
     /// # Errors
     /// Those of `check_cancel`; broken promises of this module's.

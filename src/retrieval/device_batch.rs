@@ -1,7 +1,9 @@
-//! Device batch: the retrievals of many images in lock-step, one evaluation of all images at a time.
+//! Device batch: the retrievals of many images in lock-step, one evaluation of all images at a
+//! time.
 //!
-//! The device evaluates the optics; coordinates, prior and steps are taken on the host, in a thread for each image. The slot of a
-//! finished image takes the next one, so that the batch stays full while there are images.
+//! The device evaluates the optics; coordinates, prior and steps are taken on the host, in a thread
+//! for each image. The slot of a finished image takes the next one, so that the batch stays full
+//! while there are images.
 
 use super::optimisation::MapOptimisation;
 use super::results::RetrievedImage;
@@ -38,7 +40,8 @@ struct Lane<T: Polynomial> {
 }
 
 impl DeviceBatch {
-    /// Size of the batch for `images`: an optimisation has some twenty vectors of as many numbers as it has unknowns.
+    /// Size of the batch for `images`: an optimisation has some twenty vectors of as many numbers
+    /// as it has unknowns.
     fn size<T: Polynomial>(workspace: &RetrievalWorkspace<T>, images: usize) -> usize {
         let RetrievalSettings { memory, max_batch, .. } = workspace.model.settings;
         let bytes = (2 * memory + 12) * workspace.model.metric.dimension() * size_of::<f64>();
@@ -57,12 +60,13 @@ impl DeviceBatch {
         !matches!(self.chain, Chain::Cpu64(_) | Chain::Cpu32(_)) && self.chain.failure().is_none()
     }
 
-    /// Retrieves all images on a device and gives the results to `store` as they come; returns `false`, and does nothing, where
-    /// there is no device, or where it was lost. `batch` is opened, and opened anew where it is too small.
+    /// Retrieves all images on a device and gives the results to `store` as they come; returns
+    /// `false`, and does nothing, where there is no device, or where it was lost. `batch` is
+    /// opened, and opened anew where it is too small.
     ///
     /// # Errors
-    /// [`Error::Device`] where the device cannot run the model or fails; [`Error::Interrupted`]; those of preparing; broken
-    /// promises of this module's.
+    /// [`Error::Device`] where the device cannot run the model or fails; [`Error::Interrupted`];
+    /// those of preparing; broken promises of this module's.
     pub(super) fn retrieve<T: Polynomial>(
         batch: &mut Option<Self>,
         workspace: &RetrievalWorkspace<T>,

@@ -1,4 +1,5 @@
-//! Retrieval of the images of a task in one precision: on a device where one was chosen, else on every core of the CPU.
+//! Retrieval of the images of a task in one precision: on a device where one was chosen, else on
+//! every core of the CPU.
 
 use super::device_batch::DeviceBatch;
 use super::model::MapModel;
@@ -23,14 +24,14 @@ pub(super) struct RetrievalEngine<T: Polynomial> {
 
 impl<T: Polynomial> RetrievalEngine<T> {
     /// # Errors
-    /// Those of finding the device; [`Error::Value`](crate::Error::Value) where the machine has less memory than the
-    /// retrievals take that run at once.
+    /// Those of finding the device; [`Error::Value`](crate::Error::Value) where the machine has
+    /// less memory than the retrievals take that run at once.
     pub(super) fn new(model: MapModel<T>) -> Result<Self> {
         let on_device = model.segment_samples.is_empty() && model.settings.device.resolve()?.is_some();
         let at_once = if on_device { model.settings.max_batch } else { rayon::current_num_threads() };
         let unknowns = model.metric.dimension();
-        // Ten vectors of the optimiser and two for each pair of its memory; start, gradient, gain and prior; three of the
-        // preconditioner's work.
+        // Ten vectors of the optimiser and two for each pair of its memory; start, gradient, gain
+        // and prior; three of the preconditioner's work.
         let vectors = 10 + 2 * model.settings.memory + 4 + 3;
         machine::check_memory(
             format_args!("the retrieval of {at_once} wavefronts of {unknowns} unknowns at once"),
@@ -45,7 +46,8 @@ impl<T: Polynomial> RetrievalEngine<T> {
         &self.workspace.model
     }
 
-    /// Name of the device of the last retrievals, and the failure with which it was lost, if it was.
+    /// Name of the device of the last retrievals, and the failure with which it was lost, if it
+    /// was.
     pub(super) fn device(&self) -> (String, Option<String>) {
         let batch = self.batch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let describe = |batch: &DeviceBatch| (batch.chain.device_name(), batch.chain.failure().map(str::to_owned));
@@ -55,7 +57,8 @@ impl<T: Polynomial> RetrievalEngine<T> {
     /// Retrieves all images into `wavefronts`; each is a step of the progress.
     ///
     /// # Errors
-    /// [`Error::Device`](crate::Error::Device), [`Error::Interrupted`](crate::Error::Interrupted), those of preparing.
+    /// [`Error::Device`](crate::Error::Device), [`Error::Interrupted`](crate::Error::Interrupted),
+    /// those of preparing.
     pub(super) fn retrieve(&self, task: &RetrievalTask, wavefronts: &mut RetrievedWavefronts) -> Result<()> {
         if self.on_device && self.retrieve_on_device(task, wavefronts)? {
             return Ok(());
@@ -76,7 +79,8 @@ impl<T: Polynomial> RetrievalEngine<T> {
         })
     }
 
-    /// As [`RetrievalEngine::retrieve`]; `false`, with nothing done, where no device computes any more.
+    /// As [`RetrievalEngine::retrieve`]; `false`, with nothing done, where no device computes any
+    /// more.
     fn retrieve_on_device(&self, task: &RetrievalTask, wavefronts: &mut RetrievedWavefronts) -> Result<bool> {
         let mut batch = self.batch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         // The images of a batch end in any order.

@@ -1,5 +1,5 @@
-//! Illuminated samples: the samples of the pupil on which a wavefront is retrieved, with their positions, amplitudes and the
-//! response to the segments' pistons.
+//! Illuminated samples: the samples of the pupil on which a wavefront is retrieved, with their
+//! positions, amplitudes and the response to the segments' pistons.
 
 use crate::imaging::{Mode, Optics};
 use crate::modes::TiltFrame;
@@ -7,7 +7,8 @@ use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// Amplitude below which a sample holds nothing but the ringing of its neighbours' band-limited weights.
+/// Amplitude below which a sample holds nothing but the ringing of its neighbours' band-limited
+/// weights.
 const MIN_AMPLITUDE: f64 = 0.1;
 
 /// Illuminated samples of a square grid over the pupil.
@@ -25,7 +26,8 @@ pub struct IlluminatedSamples {
     pub ys_m: Vec<f64>,
     /// Pupil amplitude of each: 0 to 1, a little beyond where the pupil is band-limited.
     pub amplitude: Vec<f64>,
-    /// Response of the wavefront to 1 nm of each segment's piston, `[segment, sample]`: the segment's share of the sample.
+    /// Response of the wavefront to 1 nm of each segment's piston, `[segment, sample]`: the
+    /// segment's share of the sample.
     pub pistons: Array2<f64>,
 }
 
@@ -55,11 +57,13 @@ impl IlluminatedSamples {
         Ok(Self { samples, pitch_m, indices, xs_m, ys_m, amplitude, pistons })
     }
 
-    /// Response of the wavefront to 1 nm RMS of the tip of each segment, then of the tilt of each, about `frames`: `[mode, sample]`.
+    /// Response of the wavefront to 1 nm RMS of the tip of each segment, then of the tilt of each,
+    /// about `frames`: `[mode, sample]`.
     ///
-    /// A sample of several segments has their mean by weight, as for pistons. The imaging model adds the fields of the segments
-    /// instead: the two differ in the amplitude of such a sample alone, by half the square of the difference of phases, 2 % where
-    /// segments with tilts of 20 nm differ by 60 nm at a wavelength of 2 µm.
+    /// A sample of several segments has their mean by weight, as for pistons. The imaging model
+    /// adds the fields of the segments instead: the two differ in the amplitude of such a sample
+    /// alone, by half the square of the difference of phases, 2 % where segments with tilts of 20
+    /// nm differ by 60 nm at a wavelength of 2 µm.
     pub(crate) fn tilts(&self, frames: &[TiltFrame]) -> Array2<f64> {
         let segments = self.pistons.nrows();
         let mut tilts = Array2::zeros((2 * segments, self.len()));
@@ -78,7 +82,8 @@ impl IlluminatedSamples {
         self.indices.len()
     }
 
-    /// Selects the samples with an amplitude of `least` or more: images hold next to no information on the phase of others.
+    /// Selects the samples with an amplitude of `least` or more: images hold next to no information
+    /// on the phase of others.
     pub fn select_bright(&self, least: f64) -> Vec<usize> {
         (0..self.len()).filter(|&sample| self.amplitude[sample] >= least).collect()
     }
@@ -99,8 +104,9 @@ impl IlluminatedSamples {
 
 /// Evaluates the wavefront of coefficients of `optics`, nm at each illuminated sample.
 ///
-/// A sample of several segments has their mean by weight. Beyond the rim the weights of a band-limited pupil ring about 0, where
-/// that mean would be undefined: there it is the mean by the weights' moduli.
+/// A sample of several segments has their mean by weight. Beyond the rim the weights of a
+/// band-limited pupil ring about 0, where that mean would be undefined: there it is the mean by the
+/// weights' moduli.
 pub(super) fn modal_wavefront_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
     let parts = optics.parts();
     let mut poses = vec![[0.0; 3]; parts.weights.segments];

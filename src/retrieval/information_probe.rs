@@ -1,5 +1,5 @@
-//! Information probe: Fisher information of an image on the phase of a sample, by formula, and its response to each spatial
-//! frequency, by products of the Gauss-Newton matrix with random phases.
+//! Information probe: Fisher information of an image on the phase of a sample, by formula, and its
+//! response to each spatial frequency, by products of the Gauss-Newton matrix with random phases.
 
 use super::preconditioner::SpectralPreconditioner;
 use super::prior::RadialPsd;
@@ -8,12 +8,14 @@ use crate::imaging::{CpuChain, Exposure, FreeWavefront, Optics, Photometry, Poly
 use ndarray::Array1;
 use std::f64::consts::TAU;
 
-/// Fisher information on the phase of each sample, rad⁻²: see `MapModel::information_nm2` for the derivation.
+/// Fisher information on the phase of each sample, rad⁻²: see `MapModel::information_nm2` for the
+/// derivation.
 pub(super) fn information_rad2(optics: &Optics, flux_e: f64, weighed_e: f64) -> f64 {
     2.0 * flux_e * weighed_e * optics.intensity_scale()
 }
 
-/// Variance of a pixel with `electrons` expected, e²: photon noise, the floor (infinite for a bad pixel), and the model error.
+/// Variance of a pixel with `electrons` expected, e²: photon noise, the floor (infinite for a bad
+/// pixel), and the model error.
 pub(super) fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
     electrons.max(0.0) + floor_e2 + (model_error * electrons).powi(2)
 }
@@ -28,12 +30,13 @@ pub(super) struct TypicalExposure {
 
 /// Random phases with which the response is probed.
 const PROBES: u64 = 8;
-/// Size of a step, turns: small enough that the gradient is linear to a percent, large enough for single precision.
+/// Size of a step, turns: small enough that the gradient is linear to a percent, large enough for
+/// single precision.
 const PROBE_TURNS: f64 = 1e-3;
 
-/// Measures the response to each spatial frequency of a typical exposure of a wavefront drawn from the prior, into
-/// `preconditioner`. Where data and model are equal the Hessian is the Gauss-Newton matrix and the gradient is 0, so the gradient
-/// at a small step is the matrix times the step.
+/// Measures the response to each spatial frequency of a typical exposure of a wavefront drawn from
+/// the prior, into `preconditioner`. Where data and model are equal the Hessian is the Gauss-Newton
+/// matrix and the gradient is 0, so the gradient at a small step is the matrix times the step.
 pub(super) fn probe_response<T: Polynomial>(
     chain: &CpuChain<T>,
     preconditioner: &mut SpectralPreconditioner<T>,

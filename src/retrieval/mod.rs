@@ -1,4 +1,5 @@
-//! Maximum a posteriori (MAP) wavefront retrieval: the whole wavefront behind one image, under a prior power spectral density.
+//! Maximum a posteriori (MAP) wavefront retrieval: the whole wavefront behind one image, under a
+//! prior power spectral density.
 //!
 //! ```text
 //! power spectral density ─ spectral preconditioner ┐                          ┌ CPU: an image a thread

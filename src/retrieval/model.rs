@@ -26,7 +26,8 @@ pub(super) struct FreeCoefficient {
     pub(super) samples: f64,
 }
 
-/// MAP objective of one scene, `χ² + prior`, but for an image's data: imaging chain, preconditioner, unknowns, limits.
+/// MAP objective of one scene, `χ² + prior`, but for an image's data: imaging chain,
+/// preconditioner, unknowns, limits.
 pub(super) struct MapModel<T: Polynomial> {
     pub(super) chain: CpuChain<T>,
     pub(super) preconditioner: SpectralPreconditioner<T>,
@@ -34,15 +35,17 @@ pub(super) struct MapModel<T: Polynomial> {
     pub(super) optimizer: Settings,
     pub(super) settings: RetrievalSettings,
     pub(super) free: Vec<FreeCoefficient>,
-    /// Illuminated samples of each segment where its amplitude is an unknown; empty where amplitudes are known.
+    /// Illuminated samples of each segment where its amplitude is an unknown; empty where
+    /// amplitudes are known.
     pub(super) segment_samples: Vec<f64>,
     /// Blur of the exposures, where it is known.
     pub(super) blur: Option<ExposureBlur>,
 }
 
 impl<T: Polynomial> MapModel<T> {
-    /// For wavefronts of power spectral density `prior` on samples `pitch_m` apart; wavefronts `margin_m` apart are taken as
-    /// independent, and `typical` sets the exposure with which the response to each spatial frequency is probed.
+    /// For wavefronts of power spectral density `prior` on samples `pitch_m` apart; wavefronts
+    /// `margin_m` apart are taken as independent, and `typical` sets the exposure with which the
+    /// response to each spatial frequency is probed.
     pub(super) fn new(
         model: &Model,
         prior: &RadialPsd,
@@ -118,9 +121,10 @@ impl<T: Polynomial> MapModel<T> {
 
     /// Fisher information of an exposure on the phase of each illuminated sample, nm⁻².
     ///
-    /// Σ_x w (∂(S·h_x)/∂φ_p)² with ∂h_x/∂φ_p = −2 Im(U_x*·F_xp·E_p). The phase of U_x* F_xp E_p is uniform, so its square is
-    /// half that of the modulus, and |F_xp·E_p|² is the same for all pixels, 1/((n·q)²·Σ A²) of the total flux. So
-    /// h = 2·S·Σ_x w·S·h_x/((n·q)²·ΣA²) per radian squared: twice the photons of a sample where photon noise dominates.
+    /// Σ_x w (∂(S·h_x)/∂φ_p)² with ∂h_x/∂φ_p = −2 Im(U_x*·F_xp·E_p). The phase of U_x* F_xp E_p is
+    /// uniform, so its square is half that of the modulus, and |F_xp·E_p|² is the same for all
+    /// pixels, 1/((n·q)²·Σ A²) of the total flux. So h = 2·S·Σ_x w·S·h_x/((n·q)²·ΣA²) per radian
+    /// squared: twice the photons of a sample where photon noise dominates.
     pub(super) fn information_nm2(&self, flux_e: f64, weighed_e: f64) -> f64 {
         let radians = TAU / self.chain.optics().parts().wavelength_nm;
         information_rad2(self.chain.optics(), flux_e, weighed_e) * radians * radians
@@ -134,7 +138,8 @@ mod tests {
     use crate::retrieval::StaticAberrationRms;
     use crate::scene::Scene;
 
-    /// The analytic information of a sample against the mean response of the probes over all frequencies.
+    /// The analytic information of a sample against the mean response of the probes over all
+    /// frequencies.
     #[test]
     fn analytic_information_of_a_sample_agrees_with_the_probes() {
         let settings = [("pupil.samples", "64"), ("modes.ncpa", "none"), ("modes.exact_zernikes", "[2, 3]")];
@@ -144,13 +149,15 @@ mod tests {
         let pitch_m = 11.25 * model.width_ratio() / 64.0;
         let typical = TypicalExposure { flux_e: 1e9, background_e: 0.0, pixel_variance_e2: 100.0 };
         let map = MapModel::<f64>::new(&model, &prior, pitch_m, 1.0, &RetrievalSettings::default(), typical).unwrap();
-        // A sample counts by the square of its amplitude, and those that ring beyond the rim have next to none.
+        // A sample counts by the square of its amplitude, and those that ring beyond the rim have
+        // next to none.
         let weights = &model.optics.parts().weights;
         let amplitude = |weights: &[f64]| weights.iter().sum::<f64>();
         let power = weights.rows().map(|(.., weights)| amplitude(weights).powi(2)).sum::<f64>();
         let (probed, analytic) = (map.preconditioner.mean_response(), power / weights.illuminated.len() as f64);
-        // Eight probes of some thousand samples know their mean to 1 %. The formula takes the phase between a sample's
-        // light and the image's as uniform, which holds for a spot of 40 λ/D to a tenth.
+        // Eight probes of some thousand samples know their mean to 1 %. The formula takes the phase
+        // between a sample's light and the image's as uniform, which holds for a spot of 40 λ/D to
+        // a tenth.
         assert!((probed / analytic - 1.0).abs() < 0.1, "{probed} {analytic}");
     }
 }

@@ -43,7 +43,8 @@ impl OpticsChange {
 }
 
 impl RetrievedOptics {
-    /// The estimated `scene` with segments of `amplitudes` (none: all alike), in place of the scene `given`.
+    /// The estimated `scene` with segments of `amplitudes` (none: all alike), in place of the scene
+    /// `given`.
     ///
     /// # Errors
     /// Those of building the telescope.

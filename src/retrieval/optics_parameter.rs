@@ -7,9 +7,9 @@ use crate::scene::{Changes, Parameter, ParameterKind, SearchRange, System};
 /// Ratio to the least objective at which a search in one direction ends.
 const END_RATIO: f64 = 4.0;
 
-/// Gain of a search in half and quarter steps below which it ends. About a minimum as wide as the first step those steps come within an
-/// eighth of it, where the objective is 2 % above the least: after less than this no finer step gains the tenth at which another value is
-/// adopted.
+/// Gain of a search in half and quarter steps below which it ends. About a minimum as wide as the
+/// first step those steps come within an eighth of it, where the objective is 2 % above the least:
+/// after less than this no finer step gains the tenth at which another value is adopted.
 const LEAST_GAIN: f64 = 0.05;
 
 /// A parameter that is searched for.
@@ -22,8 +22,8 @@ pub(super) struct SearchedParameter {
 }
 
 impl SearchedParameter {
-    /// Parameters that can be searched for in `scene`: none of the camera in focus, where a retrieval ends in one of many minima and
-    /// objectives do not compare.
+    /// Parameters that can be searched for in `scene`: none of the camera in focus, where a
+    /// retrieval ends in one of many minima and objectives do not compare.
     pub(super) fn all(scene: &System) -> Vec<Self> {
         let each = Parameter::all().filter_map(|parameter| {
             // The filter of a scene that names its number of wavelengths is known.
@@ -34,7 +34,8 @@ impl SearchedParameter {
         each.filter(|one| one.search.kind == ParameterKind::Telescope || has_diversity(&scene.image)).collect()
     }
 
-    /// Finds the value within the range at which `merit` is least, and that merit, from a value with `known` merit.
+    /// Finds the value within the range at which `merit` is least, and that merit, from a value
+    /// with `known` merit.
     pub(super) fn find_minimum(
         &self,
         known: (f64, f64),

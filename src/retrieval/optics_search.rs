@@ -1,12 +1,14 @@
 //! Search for the optics of the images where those of the scene do not explain them.
 //!
-//! A pupil that is 1 % wider in the model than in the telescope moves the rim of the defocused spot by a third of a pixel all
-//! round, and a vane that the model lacks is a line of shadow: no likely wavefront explains either. The minimum of a retrieval's
-//! objective, χ² plus the prior's term, is a sharp function of the optics with its minimum at the right ones.
+//! A pupil that is 1 % wider in the model than in the telescope moves the rim of the defocused spot
+//! by a third of a pixel all round, and a vane that the model lacks is a line of shadow: no likely
+//! wavefront explains either. The minimum of a retrieval's objective, χ² plus the prior's term, is
+//! a sharp function of the optics with its minimum at the right ones.
 //!
-//! Numbers of the scene are searched one by one, in steps that are halved. The amplitudes of the segments are unknowns of a
-//! retrieval themselves (`segment_amplitudes`), so one retrieval of a few images estimates all of them. In each round the change
-//! that lowers the objective most is adopted; the search ends where the images are explained.
+//! Numbers of the scene are searched one by one, in steps that are halved. The amplitudes of the
+//! segments are unknowns of a retrieval themselves (`segment_amplitudes`), so one retrieval of a
+//! few images estimates all of them. In each round the change that lowers the objective most is
+//! adopted; the search ends where the images are explained.
 
 use super::optics_estimate::RetrievedOptics;
 use super::optics_parameter::SearchedParameter;
@@ -26,27 +28,32 @@ use rayon::prelude::*;
 /// Images of the search: few, because the minima are sharp.
 const SEARCH_IMAGES: usize = 6;
 
-/// Reduced χ² above which other optics are searched for: frozen turbulence behind a bright star leaves 1.4 to 1.6, exposures of
-/// 10 ms leave 4.2, and spiders of an inch that the scene lacks leave 5.
+/// Reduced χ² above which other optics are searched for: frozen turbulence behind a bright star
+/// leaves 1.4 to 1.6, exposures of 10 ms leave 4.2, and spiders of an inch that the scene lacks
+/// leave 5.
 pub(crate) const OPTICS_SEARCH_CHI2: f64 = 3.0;
 
-/// Reduced χ² above which another filter or other pixels are searched for, which takes few evaluations: a filter of 1.5 % that the scene
-/// lacks leaves 2.2.
+/// Reduced χ² above which another filter or other pixels are searched for, which takes few
+/// evaluations: a filter of 1.5 % that the scene lacks leaves 2.2.
 const CAMERA_SEARCH_CHI2: f64 = 1.1;
 
-/// Largest ratio of the objectives with other optics and with the current ones at which the others are adopted,
+/// Largest ratio of the objectives with other optics and with the current ones at which the others
+/// are adopted,
 const ADOPTION_RATIO: f64 = 0.8;
-/// and where only cameras are searched for: with the right filter it is 0.66 to 0.70 (1.5 % on Keck, 3 % on seven segments), with the right
-/// pixels 0.87 (seven segments). In images that lack nothing the best filter lowers the objective to 0.97 to 0.99.
+/// and where only cameras are searched for: with the right filter it is 0.66 to 0.70 (1.5 % on
+/// Keck, 3 % on seven segments), with the right pixels 0.87 (seven segments). In images that lack
+/// nothing the best filter lowers the objective to 0.97 to 0.99.
 const CAMERA_ADOPTION_RATIO: f64 = 0.9;
 
-/// Parameters that are searched at once: making the model of a trial takes one core and as long as its retrievals, and each has one in memory.
+/// Parameters that are searched at once: making the model of a trial takes one core and as long as
+/// its retrievals, and each has one in memory.
 const PARAMETERS_AT_ONCE: usize = 2;
 
 /// Most rounds, each of which adopts one change of the optics.
 const MAX_ROUNDS: usize = 4;
 
-/// Prior RMS of the segments' amplitudes where they are unknowns; the data of a bright star dominate it.
+/// Prior RMS of the segments' amplitudes where they are unknowns; the data of a bright star
+/// dominate it.
 const AMPLITUDE_RMS: f64 = 0.05;
 
 /// Trial optics.
@@ -75,11 +82,13 @@ struct OpticsMerit {
     reduced_chi2: f64,
     /// Median over the images.
     reduced_objective: f64,
-    /// Logarithm of the amplitude of each segment over that of the optics, where amplitudes were unknowns.
+    /// Logarithm of the amplitude of each segment over that of the optics, where amplitudes were
+    /// unknowns.
     ln_amplitudes: Vec<f64>,
     /// Most evaluations of an image, where it began without a wavefront.
     evaluations: usize,
-    /// Coordinates of the images' wavefronts, from which trials of other optics begin; empty for trials that begin without.
+    /// Coordinates of the images' wavefronts, from which trials of other optics begin; empty for
+    /// trials that begin without.
     coordinates: Vec<Vec<f32>>,
 }
 
@@ -88,8 +97,8 @@ impl OpticsMerit {
         self.reduced_chi2 <= OPTICS_SEARCH_CHI2
     }
 
-    /// Most evaluations of an image with other optics: better ones need no more than the current optics did, and worse ones need not be
-    /// followed to their minimum.
+    /// Most evaluations of an image with other optics: better ones need no more than the current
+    /// optics did, and worse ones need not be followed to their minimum.
     fn most_of_a_trial(&self) -> usize {
         if self.coordinates.is_empty() { self.evaluations + self.evaluations / 2 } else { self.evaluations }
     }
@@ -118,7 +127,8 @@ impl OpticsSearch<'_> {
         Ok(OpticsMerit { evaluations, ..trial })
     }
 
-    /// Retrieves the images with the trial optics `optics` of `telescope`, from `starts`, in `most` evaluations each.
+    /// Retrieves the images with the trial optics `optics` of `telescope`, from `starts`, in `most`
+    /// evaluations each.
     fn evaluate_from(
         &self,
         starts: &[Vec<f32>],
@@ -152,9 +162,9 @@ impl OpticsSearch<'_> {
         })
     }
 
-    /// Finds, among optics that differ from `optics` in one parameter, those of least objective, or the first that explain the
-    /// images; `None` where none lowers the objective enough. Images that are explained but for a blur are tried with other
-    /// cameras only.
+    /// Finds, among optics that differ from `optics` in one parameter, those of least objective, or
+    /// the first that explain the images; `None` where none lowers the objective enough. Images
+    /// that are explained but for a blur are tried with other cameras only.
     fn best_change(&self, optics: &TrialOptics, merit: &OpticsMerit) -> Result<Option<(TrialOptics, OpticsMerit)>> {
         if merit.reduced_chi2 <= CAMERA_SEARCH_CHI2 {
             return Ok(None);
@@ -191,7 +201,8 @@ impl OpticsSearch<'_> {
         Ok(best.filter(|(_, trial)| trial.reduced_objective < ratio * merit.reduced_objective))
     }
 
-    /// `optics` with the best value of `parameter`, and their merit; `None` where its own value, of `merit`, is the best.
+    /// `optics` with the best value of `parameter`, and their merit; `None` where its own value, of
+    /// `merit`, is the best.
     fn with_best_value(
         &self,
         optics: &TrialOptics,
@@ -227,7 +238,8 @@ impl OpticsSearch<'_> {
     }
 }
 
-/// Estimates the optics of the images of `cube` where those of `scene` do not explain them and others do.
+/// Estimates the optics of the images of `cube` where those of `scene` do not explain them and
+/// others do.
 ///
 /// # Errors
 /// Those of making retrievers; [`Error::Interrupted`].
@@ -253,13 +265,15 @@ pub(crate) fn estimate_optics(
         if merit.reduced_chi2 <= CAMERA_SEARCH_CHI2 {
             break;
         }
-        // Most often no other optics explain the images better, which trials show in 1 to 12 evaluations of an image from the wavefronts that
-        // were retrieved. These descend a little further first, as those of all trials do.
+        // Most often no other optics explain the images better, which trials show in 1 to 12
+        // evaluations of an image from the wavefronts that were retrieved. These descend a little
+        // further first, as those of all trials do.
         let descended = search.evaluate_trial(&optics, optics.telescope()?, &merit)?;
         if search.best_change(&optics, &descended)?.is_none() {
             break;
         }
-        // From wavefronts with the wrong optics the best value would be off: a plate scale by 0.08 %.
+        // From wavefronts with the wrong optics the best value would be off: a plate scale by 0.08
+        // %.
         let without_wavefronts = OpticsMerit { coordinates: Vec::new(), ..merit };
         let Some(better) = search.best_change(&optics, &without_wavefronts)? else { break };
         (optics, merit) = better;
@@ -283,7 +297,8 @@ mod tests {
     use super::*;
     use crate::retrieval::tests::{draw, prior, scene};
 
-    /// Optics that a retrieval of the scene `read` estimates from three images of a telescope with `made` and segments of `amplitudes`.
+    /// Optics that a retrieval of the scene `read` estimates from three images of a telescope with
+    /// `made` and segments of `amplitudes`.
     fn estimated(made: &[(&str, &str)], amplitudes: &[f64], read: &[(&str, &str)]) -> RetrievedOptics {
         let (settings, made, read) =
             (RetrievalSettings::default(), scene().with(made).unwrap(), scene().with(read).unwrap());
@@ -319,7 +334,8 @@ mod tests {
     #[ignore = "merge: 32 s"]
     fn another_plate_scale_is_estimated() {
         let (key, sampling) = only_change(&estimated(&[], &[], &[("image.samples_per_lambda_over_d", "2.04")]));
-        // The last step is 0.03 % or more, and so is the noise of three images of a pupil half as wide as Keck's.
+        // The last step is 0.03 % or more, and so is the noise of three images of a pupil half as
+        // wide as Keck's.
         assert!(key == "image.samples_per_lambda_over_d" && (sampling / 2.0 - 1.0).abs() < 1e-3, "{key} {sampling}");
     }
 
@@ -348,7 +364,8 @@ mod tests {
         let found = estimated(&[], &amplitudes, &[]);
         let known = Telescope::new(&scene()).unwrap().with_amplitudes(amplitudes.to_vec()).unwrap();
         for (found, amplitude) in found.segment_reflectivities.iter().zip(known.amplitudes()) {
-            // Three images behind turbulence that the model's samples are too coarse for; the amplitudes scatter by 0.02.
+            // Three images behind turbulence that the model's samples are too coarse for; the
+            // amplitudes scatter by 0.02.
             assert!((found.sqrt() - amplitude).abs() < 0.005, "{found} {amplitude}");
         }
         assert_eq!(found.segment_reflectivities.len(), 7);

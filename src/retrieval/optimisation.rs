@@ -1,9 +1,9 @@
-//! MAP optimisation of one image by reverse communication: it names a point, takes the chain's value and gradient there, and
-//! takes a quasi-Newton step. It evaluates no optics itself, so a thread with one image and a batch in lock-step drive the same
-//! optimisation.
+//! MAP optimisation of one image by reverse communication: it names a point, takes the chain's
+//! value and gradient there, and takes a quasi-Newton step. It evaluates no optics itself, so a
+//! thread with one image and a batch in lock-step drive the same optimisation.
 //!
-//! The unknowns are y, whitened coordinates of the free phase ([`SpectralPreconditioner`]), and u, whitened coordinates of the
-//! free coefficients and of the segments' amplitudes.
+//! The unknowns are y, whitened coordinates of the free phase ([`SpectralPreconditioner`]), and u,
+//! whitened coordinates of the free coefficients and of the segments' amplitudes.
 //!
 //! [`SpectralPreconditioner`]: super::preconditioner::SpectralPreconditioner
 
@@ -21,8 +21,9 @@ use crate::optimize::{Advance, QuasiNewton};
 use ndarray::{Array1, ArrayView1};
 use std::f64::consts::TAU;
 
-/// Largest excess of χ² over its degrees of freedom, in degrees of freedom, that counts for the stopping tolerance: the model
-/// error of a bright star's image is about 1; more is a fit far from its minimum.
+/// Largest excess of χ² over its degrees of freedom, in degrees of freedom, that counts for the
+/// stopping tolerance: the model error of a bright star's image is about 1; more is a fit far from
+/// its minimum.
 const MAX_EXCESS: f64 = 5.0;
 
 /// A point of the optimiser.
@@ -50,7 +51,8 @@ pub(super) struct MapOptimisation<T: Polynomial> {
     gradient: Vec<f64>,
     /// Fisher information of the image on the phase of each sample.
     information_nm2: f64,
-    /// Degrees of freedom: pixels less those that the free phase, the coefficients, flux and background take.
+    /// Degrees of freedom: pixels less those that the free phase, the coefficients, flux and
+    /// background take.
     freedom: f64,
 }
 
@@ -76,8 +78,8 @@ impl<T: Polynomial> MapOptimisation<T> {
         })
     }
 
-    /// Begins an image: sets the weights in `prepared`, takes the blur off its data, and sets the coordinates, the static wavefront about which
-    /// it is sought, and the start.
+    /// Begins an image: sets the weights in `prepared`, takes the blur off its data, and sets the
+    /// coordinates, the static wavefront about which it is sought, and the start.
     pub(super) fn begin(
         &mut self,
         model: &MapModel<T>,
@@ -101,9 +103,10 @@ impl<T: Polynomial> MapOptimisation<T> {
         let taken = model.preconditioner.freedom(self.information_nm2, illuminated)
             + (self.scales.len() + model.segment_samples.len() + 2) as f64;
         self.freedom = (good as f64 - taken).max(1.0);
-        // Limited to the range of the linearisation: coordinates in which a bright star's image fixes every sample to a nm
-        // would send the first steps, which start a wavefront's RMS away, along the worst-determined directions. With 24 times
-        // this value six images of turbulence take a third more evaluations, to twice the error.
+        // Limited to the range of the linearisation: coordinates in which a bright star's image
+        // fixes every sample to a nm would send the first steps, which start a wavefront's RMS
+        // away, along the worst-determined directions. With 24 times this value six images of
+        // turbulence take a third more evaluations, to twice the error.
         let information_nm2 = self.information_nm2.min(1.0 / model.preconditioner.variance_nm2());
         let wavelength_nm = model.chain.optics().parts().wavelength_nm;
         model.preconditioner.set(information_nm2, 1.0 / wavelength_nm, &mut self.preconditioner);
@@ -127,13 +130,15 @@ impl<T: Polynomial> MapOptimisation<T> {
         if let Some(start) = start.filter(|start| start.len() == self.start.len()) {
             self.start.iter_mut().zip(start).for_each(|(out, &x)| *out = f64::from(x));
         }
-        // The information assumed by the coordinates is less than the image's by this factor, and the curvature in them more.
+        // The information assumed by the coordinates is less than the image's by this factor, and
+        // the curvature in them more.
         let scale = (information_nm2 / self.information_nm2).sqrt();
         let scale = if scale.is_finite() { scale } else { 1.0 };
         self.solver.begin(&model.metric, scale, &self.start)
     }
 
-    /// Moves to the trial point: sets [`Self::coefficients_nm`], [`Self::turns`] and the amplitudes.
+    /// Moves to the trial point: sets [`Self::coefficients_nm`], [`Self::turns`] and the
+    /// amplitudes.
     pub(super) fn place(&mut self, model: &MapModel<T>, scratch: &mut PreconditionerScratch<T>) {
         self.place_at(Point::Trial, model, scratch);
     }
@@ -163,8 +168,9 @@ impl<T: Polynomial> MapOptimisation<T> {
         self.amplitudes.set_amplitudes(scratch);
     }
 
-    /// Takes a step from the chain's evaluation at the trial point. `turns_bar` is the derivative by the free phase, and
-    /// `amplitude_gradient` fills in those by the logarithms of the segments' amplitudes.
+    /// Takes a step from the chain's evaluation at the trial point. `turns_bar` is the derivative
+    /// by the free phase, and `amplitude_gradient` fills in those by the logarithms of the
+    /// segments' amplitudes.
     pub(super) fn advance(
         &mut self,
         model: &MapModel<T>,

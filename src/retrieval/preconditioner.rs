@@ -1,16 +1,19 @@
-//! Spectral preconditioner: maps white coordinates to a free phase with the prior's power spectrum, and gradients back.
+//! Spectral preconditioner: maps white coordinates to a free phase with the prior's power spectrum,
+//! and gradients back.
 //!
-//! The free phase φ lives on a periodic square of N×N samples that holds the pupil and a margin. With H the orthogonal
-//! (Hartley) transform there, the prior is −2 log p = Σ_k (Hφ)_k²/S_k, with S_k the variance of a coefficient: the power
-//! spectral density over the area of a sample, because then the mean of φ² is Σ_k S_k/N² = ∫ S df. To second order, χ² is
-//! h·Σ_p (φ_p − φ̂_p)² over the illuminated samples, with the same Fisher information h on each, independently (defocus spreads
-//! the light of each over the whole image). Where the pupil fills the square, the Hessian of objective and prior together is
-//! h + 1/S_k for each k. So with
+//! The free phase φ lives on a periodic square of N×N samples that holds the pupil and a margin.
+//! With H the orthogonal (Hartley) transform there, the prior is −2 log p = Σ_k (Hφ)_k²/S_k, with
+//! S_k the variance of a coefficient: the power spectral density over the area of a sample, because
+//! then the mean of φ² is Σ_k S_k/N² = ∫ S df. To second order, χ² is h·Σ_p (φ_p − φ̂_p)² over the
+//! illuminated samples, with the same Fisher information h on each, independently (defocus spreads
+//! the light of each over the whole image). Where the pupil fills the square, the Hessian of
+//! objective and prior together is h + 1/S_k for each k. So with
 //!
 //! `φ = H·g·y`,  `g_k = (h + 1/S_k)^(−1/2)`
 //!
-//! the Hessian in y is about 2·I where the pupil is illuminated, and the prior is Σ_k y_k²/(1 + h·S_k): near 0 where the data
-//! dominate, y² where the prior does. Any h gives the same objective in other coordinates, so h need not be exact.
+//! the Hessian in y is about 2·I where the pupil is illuminated, and the prior is Σ_k y_k²/(1 +
+//! h·S_k): near 0 where the data dominate, y² where the prior does. Any h gives the same objective
+//! in other coordinates, so h need not be exact.
 
 use super::prior::RadialPsd;
 use crate::fourier::{HartleyTransform, Real, fast_side};
@@ -20,11 +23,12 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::Range;
 
-/// Least response of a spatial frequency, relative to the information given to [`SpectralPreconditioner::set`]: less is the
-/// probes' own noise.
+/// Least response of a spatial frequency, relative to the information given to
+/// [`SpectralPreconditioner::set`]: less is the probes' own noise.
 const MIN_RESPONSE: f64 = 1e-4;
 
-/// Spectral preconditioner of one scene: the periodic square, the pupil on it and the prior's power spectrum.
+/// Spectral preconditioner of one scene: the periodic square, the pupil on it and the prior's power
+/// spectrum.
 pub(super) struct SpectralPreconditioner<T: Real> {
     hartley: HartleyTransform<T>,
     pitch_m: f64,
@@ -34,7 +38,8 @@ pub(super) struct SpectralPreconditioner<T: Real> {
     rows: Range<usize>,
     /// S_k, nm², `[ky][kx]`.
     variance_nm2: Vec<f64>,
-    /// Fisher information on each k over that on a sample: less where the light diffracted by k falls outside the image.
+    /// Fisher information on each k over that on a sample: less where the light diffracted by k
+    /// falls outside the image.
     response: Vec<f64>,
 }
 
@@ -54,9 +59,9 @@ pub(super) struct PreconditionerScratch<T> {
 }
 
 impl<T: Real> SpectralPreconditioner<T> {
-    /// For the `illuminated` samples (flat indices on a grid of `samples` a side, `pitch_m` apart, and the amplitude of each), on
-    /// a square with a margin of `margin_m`, so that opposite rims of the pupil are independent. Samples of the ringing beyond
-    /// the rim need no margin.
+    /// For the `illuminated` samples (flat indices on a grid of `samples` a side, `pitch_m` apart,
+    /// and the amplitude of each), on a square with a margin of `margin_m`, so that opposite rims
+    /// of the pupil are independent. Samples of the ringing beyond the rim need no margin.
     ///
     /// # Errors
     /// Those of [`HartleyTransform::new`].
@@ -110,7 +115,8 @@ impl<T: Real> SpectralPreconditioner<T> {
         ImagePreconditioner { gain: vec![T::zero(); self.len()], prior: vec![0.0; self.len()] }
     }
 
-    /// Sets the coordinates for an image with Fisher information `information_nm2` (h, nm⁻²) on each sample.
+    /// Sets the coordinates for an image with Fisher information `information_nm2` (h, nm⁻²) on
+    /// each sample.
     pub(super) fn set(&self, information_nm2: f64, turns_per_nm: f64, image: &mut ImagePreconditioner<T>) {
         let parts = image.gain.iter_mut().zip(&mut image.prior).zip(&self.variance_nm2).zip(&self.response);
         for (((gain, prior), &variance), response) in parts {
@@ -149,8 +155,9 @@ impl<T: Real> SpectralPreconditioner<T> {
         (rings, count)
     }
 
-    /// Measures the response to each spatial frequency with `probes` white phases: `hessian` multiplies a phase at the illuminated
-    /// samples, turns, by the Gauss-Newton matrix over the information on a sample. The response is averaged over rings.
+    /// Measures the response to each spatial frequency with `probes` white phases: `hessian`
+    /// multiplies a phase at the illuminated samples, turns, by the Gauss-Newton matrix over the
+    /// information on a sample. The response is averaged over rings.
     pub(super) fn measure_response(&mut self, probes: u64, mut hessian: impl FnMut(&[T], &mut [T])) {
         let (rings, count) = self.rings();
         let (mut power, mut product_power) = (vec![0.0; count], vec![0.0; count]);
@@ -210,8 +217,9 @@ impl<T: Real> SpectralPreconditioner<T> {
         }
     }
 
-    /// Effective degrees of freedom that the free phase takes from an image with `information_nm2` (h) on each of `covered`
-    /// illuminated samples: Σ h·S/(1 + h·S), over their share of the square.
+    /// Effective degrees of freedom that the free phase takes from an image with `information_nm2`
+    /// (h) on each of `covered` illuminated samples: Σ h·S/(1 + h·S), over their share of the
+    /// square.
     pub(super) fn freedom(&self, information_nm2: f64, covered: f64) -> f64 {
         let seen = |(variance, response): (&f64, &f64)| information_nm2 * response * variance;
         let parts = self.variance_nm2.iter().zip(&self.response).map(seen);
@@ -304,9 +312,11 @@ mod tests {
             mean_square += turns.iter().map(|t| t * t).sum::<f64>() / (turns.len() as f64 * draws as f64);
         }
         let expected = square.variance_nm2.iter().sum::<f64>() / square.len() as f64;
-        // Fields with some 20 independent patches each, 200 of them: √(2/4000) = 2 %; four times that.
+        // Fields with some 20 independent patches each, 200 of them: √(2/4000) = 2 %; four times
+        // that.
         assert!((mean_square / expected - 1.0).abs() < 0.08, "{mean_square} {expected}");
-        // ... which is the integral of the density over the square of frequencies that the samples carry.
+        // ... which is the integral of the density over the square of frequencies that the samples
+        // carry.
         let step = 1.0 / (square.hartley.side() as f64 * 0.1);
         let sum: f64 = square.variance_nm2.iter().map(|s| s * 0.01 * step * step).sum();
         assert!((sum / expected - 1.0).abs() < 1e-12);

@@ -1,6 +1,8 @@
-//! Prior of the wavefront: an isotropic power spectral density (PSD), predicted for the residual of an AO system or measured.
+//! Prior of the wavefront: an isotropic power spectral density (PSD), predicted for the residual of
+//! an AO system or measured.
 //!
-//! Densities are in nm²·m² against cycles/m, so that `∫ S(f) 2πf df` is the variance in nm² on any grid.
+//! Densities are in nm²·m² against cycles/m, so that `∫ S(f) 2πf df` is the variance in nm² on any
+//! grid.
 
 use super::ao_residual::AoResidual;
 use crate::fourier::disc;
@@ -17,7 +19,8 @@ pub struct RadialPsd {
     density_nm2_m2: Vec<f64>,
 }
 
-/// RMS of static aberrations that are not yet corrected or estimated, whose variance the prior includes.
+/// RMS of static aberrations that are not yet corrected or estimated, whose variance the prior
+/// includes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StaticAberrationRms {
     /// RMS of the segments' pistons, nm.
@@ -27,8 +30,9 @@ pub struct StaticAberrationRms {
 }
 
 impl Default for StaticAberrationRms {
-    /// 60 nm of pistons and 70 nm of NCPA, as of a telescope before it is phased this way. A factor of two either way changes
-    /// little, because the data dominate the prior at the frequencies that an image resolves.
+    /// 60 nm of pistons and 70 nm of NCPA, as of a telescope before it is phased this way. A factor
+    /// of two either way changes little, because the data dominate the prior at the frequencies
+    /// that an image resolves.
     fn default() -> Self {
         Self { piston_rms_nm: 60.0, ncpa_rms_nm: 70.0 }
     }
@@ -36,17 +40,19 @@ impl Default for StaticAberrationRms {
 
 /// Entries of a predicted PSD up to the mirror's cut-off frequency.
 const ENTRIES_IN_BAND: usize = 40;
-/// Entries in all, up to five times the cut-off, which a pupil of ten samples an actuator does not exceed. Beyond, the PSD is
-/// extrapolated.
+/// Entries in all, up to five times the cut-off, which a pupil of ten samples an actuator does not
+/// exceed. Beyond, the PSD is extrapolated.
 const ENTRIES: usize = 5 * ENTRIES_IN_BAND;
-/// Directions over which a predicted PSD is averaged: the corrected band is a square, and winds have any direction.
+/// Directions over which a predicted PSD is averaged: the corrected band is a square, and winds
+/// have any direction.
 const DIRECTIONS: usize = 96;
 impl RadialPsd {
-    /// A PSD of entries `step_per_m` apart, from frequency 0 on. Between them its logarithm is linear; beyond the last it falls
-    /// as f^(−11/3).
+    /// A PSD of entries `step_per_m` apart, from frequency 0 on. Between them its logarithm is
+    /// linear; beyond the last it falls as f^(−11/3).
     ///
     /// # Errors
-    /// [`Error::Value`] for fewer than two entries, a step that is not positive, or an entry that is not positive.
+    /// [`Error::Value`] for fewer than two entries, a step that is not positive, or an entry that
+    /// is not positive.
     pub fn new(step_per_m: f64, density_nm2_m2: Vec<f64>) -> Result<Self> {
         if !(step_per_m.is_finite() && step_per_m > 0.0) || density_nm2_m2.len() < 2 {
             let entries = density_nm2_m2.len();
@@ -63,13 +69,16 @@ impl RadialPsd {
         Ok(Self { step_per_m, density_nm2_m2 })
     }
 
-    /// Predicts the PSD of the residual of the AO system of `scene`, plus that of static aberrations `unknown`.
+    /// Predicts the PSD of the residual of the AO system of `scene`, plus that of static
+    /// aberrations `unknown`.
     ///
-    /// Beyond the mirror's cut-off, |fx| or |fy| > 1/(2·pitch), it is the turbulence (fitting error). Within, where the scene has
-    /// a loop and layers, it is each layer times the loop's rejection `1/(1 + g·z^(−lag)/(1 − z^(−1)))` (a fraction of a frame mixes both commands) at the temporal
-    /// frequency f·v (servo-lag), plus the aliases of the sensor times the loop's response (Rigaut, Véran & Lai 1998, SPIE 3353,
-    /// 1038: the ratio of the transfer functions of slopes that are means over a subaperture). Where it has no loop the band is
-    /// as flat as the PSD at the cut-off. All terms are averaged over the motion of the layers in an exposure.
+    /// Beyond the mirror's cut-off, |fx| or |fy| > 1/(2·pitch), it is the turbulence (fitting
+    /// error). Within, where the scene has a loop and layers, it is each layer times the loop's
+    /// rejection `1/(1 + g·z^(−lag)/(1 − z^(−1)))` (a fraction of a frame mixes both commands) at
+    /// the temporal frequency f·v (servo-lag), plus the aliases of the sensor times the loop's
+    /// response (Rigaut, Véran & Lai 1998, SPIE 3353, 1038: the ratio of the transfer functions of
+    /// slopes that are means over a subaperture). Where it has no loop the band is as flat as the
+    /// PSD at the cut-off. All terms are averaged over the motion of the layers in an exposure.
     ///
     /// The sensor's noise is left out: for stars bright enough for such images it is below 10 nm.
     ///
@@ -81,7 +90,8 @@ impl RadialPsd {
         let aperture_m = scene.grid_m().unwrap_or(1.0);
         let segment_m2 = 1.5 * 3f64.sqrt() * scene.pupil.segment_side_m.powi(2);
         let density = |k: usize| {
-            // Frequency 0 is the piston of the whole pupil, to which images are blind: its entry is its neighbour's.
+            // Frequency 0 is the piston of the whole pupil, to which images are blind: its entry is
+            // its neighbour's.
             let f = step_per_m * (k as f64).max(0.5);
             let turn = |i: usize| TAU * (i as f64 + 0.5) / DIRECTIONS as f64;
             let dynamic: f64 = (0..DIRECTIONS).map(|i| residual.density(f * turn(i).cos(), f * turn(i).sin())).sum();
@@ -118,8 +128,9 @@ impl RadialPsd {
     }
 }
 
-/// PSD of variance 1 that falls as f⁻³ (Zernike polynomials whose variance falls as the square of their order) from one cycle
-/// over the aperture on, and is 0 beyond the mirror's cut-off, where a mirror can correct no NCPA.
+/// PSD of variance 1 that falls as f⁻³ (Zernike polynomials whose variance falls as the square of
+/// their order) from one cycle over the aperture on, and is 0 beyond the mirror's cut-off, where a
+/// mirror can correct no NCPA.
 fn low_order(f: f64, aperture_m: f64, cut_off_per_m: f64) -> f64 {
     let first = 1.0 / aperture_m;
     if f > cut_off_per_m {
@@ -139,8 +150,8 @@ mod tests {
         Scene::preset("keck-onsky").unwrap()
     }
 
-    /// Beyond the cut-off nothing is corrected: 0.23·(pitch/r0)^(5/3) rad² of Kolmogorov turbulence outside of a square
-    /// (Rigaut et al. 1998), 0.28 with a real mirror's edges.
+    /// Beyond the cut-off nothing is corrected: 0.23·(pitch/r0)^(5/3) rad² of Kolmogorov turbulence
+    /// outside of a square (Rigaut et al. 1998), 0.28 with a real mirror's edges.
     #[test]
     fn fitting_error_agrees_with_the_textbook() {
         let scene = scene().with_override("image.exposure_s", "1e-6").unwrap();
@@ -148,8 +159,9 @@ mod tests {
         let psd = RadialPsd::ao_residual(&scene, nothing).unwrap();
         let cut_off = 0.5 / scene.mirror.pitch_m;
         let nm2 = (500.0 / TAU).powi(2) * (scene.mirror.pitch_m / scene.turbulence.r0_m).powf(5.0 / 3.0);
-        // The corners of the square hold what the in-band error does not reach: from √2 times the cut-off on all of it
-        // is fitting error. Kolmogorov beyond f: 0.0229·6π/5·f^(−5/3); the tail beyond the tables' end by its power law.
+        // The corners of the square hold what the in-band error does not reach: from √2 times the
+        // cut-off on all of it is fitting error. Kolmogorov beyond f: 0.0229·6π/5·f^(−5/3); the
+        // tail beyond the tables' end by its power law.
         let from = 2f64.sqrt() * cut_off;
         let tail = 0.0229 * 6.0 * PI / 5.0 * (from * scene.mirror.pitch_m).powf(-5.0 / 3.0) * nm2;
         let found = psd.variance_nm2(from, 200.0 * cut_off);
@@ -166,9 +178,10 @@ mod tests {
             psd.variance_nm2(0.0, 20.0)
         };
         let none = variance(0.0, 0.0);
-        // A disc's PSD falls as f⁻³, so that 2/(2π²·f·a) of it lie beyond f: 2.8 % beyond the table's end at 4.4
-        // cycles/m (a = 0.82 m), where the extrapolation falls too fast. The entry at frequency 0 and the interpolation between
-        // entries are good to a few percent of the NCPA, which fall over a few entries.
+        // A disc's PSD falls as f⁻³, so that 2/(2π²·f·a) of it lie beyond f: 2.8 % beyond the
+        // table's end at 4.4 cycles/m (a = 0.82 m), where the extrapolation falls too fast. The
+        // entry at frequency 0 and the interpolation between entries are good to a few percent of
+        // the NCPA, which fall over a few entries.
         let pistons = variance(60.0, 0.0) - none;
         assert!((0.96..1.0).contains(&(pistons / 3600.0)), "{pistons}");
         let ncpa = variance(0.0, 70.0) - none;
@@ -185,8 +198,9 @@ mod tests {
         };
         let (own, slow) = (in_band(&[]), in_band(&[("control.frame_rate_hz", "200")]));
         assert!(own < 0.6 * slow, "{own} {slow}");
-        // Servo-lag with an integrator of gain 0.3 is a delay of 1/0.3 + 1/2 frames: σ² = (2π)²·τ²·∫ (f·v)² W, which
-        // for Greenwood's time comes to some 40 nm; aliasing to 0.28·(d/r0)^(5/6) rad, some 60.
+        // Servo-lag with an integrator of gain 0.3 is a delay of 1/0.3 + 1/2 frames: σ² =
+        // (2π)²·τ²·∫ (f·v)² W, which for Greenwood's time comes to some 40 nm; aliasing to
+        // 0.28·(d/r0)^(5/6) rad, some 60.
         assert!((40.0..120.0).contains(&own), "{own}");
     }
 

@@ -7,10 +7,12 @@ use ndarray::{Array2, ArrayViewMut1, Axis};
 /// Report of one image's retrieval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RetrievalReport {
-    /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an unusable image.
+    /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an
+    /// unusable image.
     pub reduced_chi2: f64,
-    /// Minimum of the objective, χ² under the data's weights plus the prior's term, over the same degrees of freedom. Optics
-    /// that differ from the instrument's raise it where an improbable wavefront can still fit the image.
+    /// Minimum of the objective, χ² under the data's weights plus the prior's term, over the same
+    /// degrees of freedom. Optics that differ from the instrument's raise it where an improbable
+    /// wavefront can still fit the image.
     pub reduced_objective: f64,
     /// Evaluations of objective and gradient.
     pub evaluations: usize,
@@ -55,24 +57,29 @@ pub(super) struct RetrievedImage {
 /// Retrieved wavefronts of the images of a sequence.
 #[derive(Debug, Clone)]
 pub struct RetrievedWavefronts {
-    /// Whole wavefront, static and dynamic, piston, tip and tilt included, nm, `[image, illuminated sample]`; NaN for an unusable
-    /// image. A sample of several segments has their mean by weight.
+    /// Whole wavefront, static and dynamic, piston, tip and tilt included, nm,
+    /// `[image, illuminated sample]`; NaN for an unusable image. A sample of several segments has
+    /// their mean by weight.
     pub wavefront_nm: Array2<f64>,
     /// Coefficients in it: segments, then tip and tilt, nm, `[image, coefficient]`.
     pub coefficients_nm: Array2<f64>,
-    /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where amplitudes are known.
+    /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where
+    /// amplitudes are known.
     pub ln_amplitudes: Array2<f64>,
-    /// What the motion of the turbulence during each exposure changes in its image, electrons in the model's pixels; empty where it is not
-    /// known. The next retrieval of the images takes it off.
+    /// What the motion of the turbulence during each exposure changes in its image, electrons in
+    /// the model's pixels; empty where it is not known. The next retrieval of the images takes it
+    /// off.
     pub blur_e: Vec<Vec<f32>>,
-    /// Coordinates of the optimiser at each image's estimate, for [`Retriever::retrieve_from`](super::Retriever::retrieve_from), which alone keeps them.
+    /// Coordinates of the optimiser at each image's estimate, for
+    /// [`Retriever::retrieve_from`](super::Retriever::retrieve_from), which alone keeps them.
     pub(super) coordinates: Vec<Vec<f32>>,
     /// Report of each image.
     pub reports: Vec<RetrievalReport>,
 }
 
 impl RetrievedWavefronts {
-    /// Unfinished results of `images`, with these numbers of illuminated samples, coefficients and unknown amplitudes.
+    /// Unfinished results of `images`, with these numbers of illuminated samples, coefficients and
+    /// unknown amplitudes.
     pub(super) fn unfinished(images: usize, [samples, coefficients, amplitudes]: [usize; 3]) -> Self {
         let unknown = |columns: usize| Array2::from_elem((images, columns), f64::NAN);
         Self {

@@ -5,10 +5,11 @@
 //!                                  y, u ─ free phase + coefficients ─ imaging chain ─ χ² + prior ─ L-BFGS
 //! ```
 //!
-//! The objective is that of the modal fit, `Σ w·(S·h + b − d)²`, with an independent phase at each illuminated sample
-//! ([`SpectralPreconditioner`](super::preconditioner::SpectralPreconditioner)) beside the coefficients of segments, tip and
-//! tilt, plus −2 log of the prior of each. The result of an image depends on that image alone: on the CPU to the bit, in any
-//! batch and on any number of threads; on a device to rounding, because small batches use other kernels than large ones.
+//! The objective is that of the modal fit, `Σ w·(S·h + b − d)²`, with an independent phase at each
+//! illuminated sample ([`SpectralPreconditioner`](super::preconditioner::SpectralPreconditioner))
+//! beside the coefficients of segments, tip and tilt, plus −2 log of the prior of each. The result
+//! of an image depends on that image alone: on the CPU to the bit, in any batch and on any number
+//! of threads; on a device to rounding, because small batches use other kernels than large ones.
 
 use super::engine::RetrievalEngine;
 use super::exposure_blur::ExposureBlur;
@@ -31,11 +32,12 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array1;
 
-/// Copies of the retrieved wavefronts: those of the last iteration and of this one, the selected images, their residuals, and one for the blur of
-/// the exposures, which has twice as many numbers of half the size.
+/// Copies of the retrieved wavefronts: those of the last iteration and of this one, the selected
+/// images, their residuals, and one for the blur of the exposures, which has twice as many numbers
+/// of half the size.
 const WAVEFRONT_COPIES: usize = 5;
-/// Copies of the static modes at the illuminated samples: at all and at the bright ones, in columns, times the inverse
-/// covariance, its residuals, and joined.
+/// Copies of the static modes at the illuminated samples: at all and at the bright ones, in
+/// columns, times the inverse covariance, its residuals, and joined.
 const MODE_COPIES: usize = 6;
 
 /// Retriever of the wavefronts of images of one scene.
@@ -56,9 +58,10 @@ enum AnyEngine {
 }
 
 impl Retriever {
-    /// For images of `scene` and `telescope`, which can differ from the scene's in the amplitudes of its segments, whose
-    /// dynamic wavefront has the power spectral density `prior`. Samples and pixels are as many as the segments need, unless
-    /// `estimate.samples` and `image.crop_pixels` give them.
+    /// For images of `scene` and `telescope`, which can differ from the scene's in the amplitudes
+    /// of its segments, whose dynamic wavefront has the power spectral density `prior`. Samples and
+    /// pixels are as many as the segments need, unless `estimate.samples` and `image.crop_pixels`
+    /// give them.
     ///
     /// # Errors
     /// Those of [`Model::with_telescope`]; [`Error::Value`] for a setting out of range.
@@ -68,7 +71,8 @@ impl Retriever {
         Self::by_recipe(&scene, Recipe::from_scene(&scene), telescope, prior, settings)
     }
 
-    /// One for each of the `scenes` of the channels of one telescope, on the same samples of the pupil.
+    /// One for each of the `scenes` of the channels of one telescope, on the same samples of the
+    /// pupil.
     ///
     /// # Errors
     /// As [`Retriever::new`]; [`Error::Scene`] for channels that cannot have the same samples.
@@ -147,7 +151,8 @@ impl Retriever {
         Ok(Self { read_noise_e, model, recipe, settings, points_m, pitch_m, highest_frequency_per_m, engine })
     }
 
-    /// Whether wavefronts of both are on the same samples, with the same shares of the segments in each.
+    /// Whether wavefronts of both are on the same samples, with the same shares of the segments in
+    /// each.
     fn has_samples_of(&self, other: &Self) -> bool {
         let [own, others] = [self, other].map(|retriever| &retriever.model.optics.parts().weights);
         self.pitch_m == other.pitch_m
@@ -157,8 +162,9 @@ impl Retriever {
             && own.weight == others.weight
     }
 
-    /// Refuses a sequence of `images` images whose wavefronts, and the static modes that are estimated from them (`per_segment` of
-    /// each segment and `ncpa_modes`), are more than the machine's memory can hold.
+    /// Refuses a sequence of `images` images whose wavefronts, and the static modes that are
+    /// estimated from them (`per_segment` of each segment and `ncpa_modes`), are more than the
+    /// machine's memory can hold.
     ///
     /// # Errors
     /// [`Error::Value`].
@@ -172,13 +178,14 @@ impl Retriever {
         )
     }
 
-    /// Highest spatial frequency that the images resolve, 1/m; beyond it a retrieved wavefront is the prior's.
+    /// Highest spatial frequency that the images resolve, 1/m; beyond it a retrieved wavefront is
+    /// the prior's.
     pub fn highest_frequency_per_m(&self) -> f64 {
         self.highest_frequency_per_m
     }
 
-    /// Name of the device on which the last images were retrieved, and the failure with which it was lost, where `auto` chose
-    /// it.
+    /// Name of the device on which the last images were retrieved, and the failure with which it
+    /// was lost, where `auto` chose it.
     pub fn device(&self) -> (String, Option<String>) {
         match &self.engine {
             AnyEngine::Single(engine) => engine.device(),
@@ -195,12 +202,13 @@ impl Retriever {
         IlluminatedSamples::new(samples, self.pitch_m, &self.model.optics.parts().weights)
     }
 
-    /// Retrieves the wavefront of every image of `cube` (`[image, y, x]`, electrons) about the static wavefront `about`, without the blur of each
-    /// exposure that an earlier retrieval found ([`RetrievedWavefronts::blur_e`]; empty of none). Each image is a step of the progress.
+    /// Retrieves the wavefront of every image of `cube` (`[image, y, x]`, electrons) about the
+    /// static wavefront `about`, without the blur of each exposure that an earlier retrieval found
+    /// ([`RetrievedWavefronts::blur_e`]; empty of none). Each image is a step of the progress.
     ///
     /// # Errors
-    /// [`Error::Shape`] for frames of another size than the scene's, or a static wavefront of another model;
-    /// [`Error::Interrupted`] where `control` is cancelled.
+    /// [`Error::Shape`] for frames of another size than the scene's, or a static wavefront of
+    /// another model; [`Error::Interrupted`] where `control` is cancelled.
     pub fn retrieve_without(
         &self,
         blur_e: &[Vec<f32>],
@@ -214,10 +222,12 @@ impl Retriever {
         self.run((about, blur_e), None, cube, control)
     }
 
-    /// Retrieves the wavefronts of the images of `cube` from those of the same images with next to the same optics: `starts`, their
-    /// [`RetrievedWavefronts::coordinates`], empty for the first. It takes 1 to 12 evaluations in place of 35. The
-    /// optimisation ends before it has followed directions of which images hold little, so the result depends on its start: the iterations of static
-    /// errors, each from the last one's wavefronts, did not converge (TMT, 25 images: 14.7 nm of phasing in place of 10.6).
+    /// Retrieves the wavefronts of the images of `cube` from those of the same images with next to
+    /// the same optics: `starts`, their [`RetrievedWavefronts::coordinates`], empty for the first.
+    /// It takes 1 to 12 evaluations in place of 35. The optimisation ends before it has followed
+    /// directions of which images hold little, so the result depends on its start: the iterations
+    /// of static errors, each from the last one's wavefronts, did not converge (TMT, 25 images:
+    /// 14.7 nm of phasing in place of 10.6).
     ///
     /// # Errors
     /// As [`Retriever::retrieve_without`].
@@ -270,7 +280,8 @@ impl Retriever {
     }
 }
 
-/// `scene` with segment modes, tip and tilt only: the free phase includes the NCPA, and tip and tilt can exceed any power spectrum.
+/// `scene` with segment modes, tip and tilt only: the free phase includes the NCPA, and tip and
+/// tilt can exceed any power spectrum.
 fn free_phase(scene: &System) -> Result<System> {
     scene.with(|sections| {
         let modes = &mut sections.modes;
@@ -303,13 +314,14 @@ impl Retriever {
         &self.points_m
     }
 
-    /// Pupil amplitude of each illuminated sample: the sum of the segments' weights, which are band-limited, so from a little
-    /// below 0 to a little above 1.
+    /// Pupil amplitude of each illuminated sample: the sum of the segments' weights, which are
+    /// band-limited, so from a little below 0 to a little above 1.
     pub(crate) fn amplitude(&self) -> Vec<f64> {
         self.model.optics.parts().weights.rows().map(|(.., weights)| weights.iter().sum()).collect()
     }
 
-    /// Evaluates the wavefront of coefficients of [`Retriever::model`], nm at each illuminated sample; missing ones are 0.
+    /// Evaluates the wavefront of coefficients of [`Retriever::model`], nm at each illuminated
+    /// sample; missing ones are 0.
     pub(crate) fn modal_wavefront_nm(&self, coefficients_nm: &[f64]) -> Vec<f64> {
         super::illuminated_samples::modal_wavefront_nm(&self.model.optics, coefficients_nm)
     }

@@ -1,7 +1,9 @@
-//! Sampling of a retrieval: field of view of the crop, samples over the pupil, and the highest spatial frequency that both resolve.
+//! Sampling of a retrieval: field of view of the crop, samples over the pupil, and the highest
+//! spatial frequency that both resolve.
 //!
-//! The edges of segments distinguish pistons from smooth aberrations. A ripple of f cycles over the pupil diffracts copies of the
-//! defocused spot f λ/D to either side: an image resolves it as long as a part of the copy lands on its pixels.
+//! The edges of segments distinguish pistons from smooth aberrations. A ripple of f cycles over the
+//! pupil diffracts copies of the defocused spot f λ/D to either side: an image resolves it as long
+//! as a part of the copy lands on its pixels.
 
 use crate::Result;
 use crate::fourier::fast_side;
@@ -9,7 +11,8 @@ use crate::modal::{ABERRATION_CYCLES, LEAST_HALF_WIDTH, Model, SPOT_MARGIN};
 use crate::scene::{Crop, PupilModel, System};
 use crate::telescope::{Diversity, Telescope};
 
-/// Margin on each side, in cycles: samples around the pupil and the bandwidth of the aberrations together.
+/// Margin on each side, in cycles: samples around the pupil and the bandwidth of the aberrations
+/// together.
 const MARGIN: f64 = 8.0;
 
 /// Computes the half-width of the defocused spot, λ over the grid's width.
@@ -17,7 +20,8 @@ fn spot(scene: &System, telescope: &Telescope) -> Result<f64> {
     Ok(Diversity::new(scene, telescope)?.spot(&telescope.pupil, scene.image.wavelength_nm))
 }
 
-/// `scene` with the pixels and samples that resolve `cycles` across a segment, where it leaves them open.
+/// `scene` with the pixels and samples that resolve `cycles` across a segment, where it leaves them
+/// open.
 ///
 /// # Errors
 /// Those of the diversity.
@@ -51,8 +55,9 @@ pub(super) fn with_retrieval_sampling(scene: &System, telescope: &Telescope, cyc
     })
 }
 
-/// The `scenes` of the channels of one telescope with the pixels that each needs, and the samples of the pupil that the finest needs;
-/// and the pass band of the pupil that all need, cycles, with which their wavefronts are on the same samples.
+/// The `scenes` of the channels of one telescope with the pixels that each needs, and the samples
+/// of the pupil that the finest needs; and the pass band of the pupil that all need, cycles, with
+/// which their wavefronts are on the same samples.
 ///
 /// # Errors
 /// Those of the diversity.
@@ -106,7 +111,8 @@ mod tests {
         assert_eq!(sizes(&[("estimate.samples", "120"), ("image.crop_pixels", "104")]), (Some(120), Crop::Pixels(104)));
         // Limited by the frame.
         assert_eq!(sizes(&[("image.pixels", "128")]).1, Crop::Pixels(128));
-        // Large segments need few: the rest is the light around the spot, some 25 λ/D and 3 to either side.
+        // Large segments need few: the rest is the light around the spot, some 25 λ/D and 3 to
+        // either side.
         let large = [("pupil.aperture", "hexagonal"), ("pupil.rings", "1"), ("pupil.segment_side_m", "2.0")];
         let (_, Crop::Pixels(pixels)) = sizes(&large) else { panic!("no crop") };
         assert!((104..=128).contains(&pixels), "{pixels}");

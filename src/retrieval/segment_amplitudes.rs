@@ -1,7 +1,7 @@
 //! Segment amplitudes as unknowns of a retrieval.
 //!
-//! A segment's field is `exp(ln a + 2πi·c/λ)`: ln a is to the piston c what a real part is to an imaginary one, so the image has
-//! the same Fisher information on it, per radian.
+//! A segment's field is `exp(ln a + 2πi·c/λ)`: ln a is to the piston c what a real part is to an
+//! imaginary one, so the image has the same Fisher information on it, per radian.
 
 use crate::imaging::{Polynomial, Scratch};
 
@@ -16,13 +16,14 @@ pub(super) struct SegmentAmplitudes {
 }
 
 impl SegmentAmplitudes {
-    /// For segments with so many illuminated samples each and amplitudes of prior standard deviation `rms`; without segments no
-    /// amplitude varies.
+    /// For segments with so many illuminated samples each and amplitudes of prior standard
+    /// deviation `rms`; without segments no amplitude varies.
     pub(super) fn new(rms: f64, samples: &[f64]) -> Self {
         Self { rms, samples: samples.to_vec(), scales: vec![[0.0; 2]; samples.len()], ln: vec![0.0; samples.len()] }
     }
 
-    /// Sets the coordinates for an image with information `information_rad2` on the phase of a sample, rad⁻².
+    /// Sets the coordinates for an image with information `information_rad2` on the phase of a
+    /// sample, rad⁻².
     pub(super) fn begin(&mut self, information_rad2: f64) {
         for (scale, samples) in self.scales.iter_mut().zip(&self.samples) {
             let information = information_rad2 * samples;
@@ -44,7 +45,8 @@ impl SegmentAmplitudes {
         }
     }
 
-    /// Returns the prior's term at `u`; turns a gradient by ln a into one by u and adds the prior's.
+    /// Returns the prior's term at `u`; turns a gradient by ln a into one by u and adds the
+    /// prior's.
     pub(super) fn add_prior(&self, u: &[f64], gradient: &mut [f64]) -> f64 {
         let mut sum = 0.0;
         for ((gradient, u), [scale, prior]) in gradient.iter_mut().zip(u).zip(&self.scales) {

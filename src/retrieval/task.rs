@@ -15,9 +15,11 @@ pub(super) struct RetrievalTask<'a> {
     /// Prepares one of them.
     pub(super) prepare: &'a (dyn Fn(usize) -> Result<PreparedImage> + Sync),
     pub(super) about: Option<&'a StaticWavefront>,
-    /// What the blur of the exposures changes in each image, electrons; empty where it is not known.
+    /// What the blur of the exposures changes in each image, electrons; empty where it is not
+    /// known.
     pub(super) blur_e: &'a [Vec<f32>],
-    /// Coordinates at which the optimisation of each image begins, 0 where they are of another model; where they are given, those at its end are kept.
+    /// Coordinates at which the optimisation of each image begins, 0 where they are of another
+    /// model; where they are given, those at its end are kept.
     pub(super) starts: Option<&'a [Vec<f32>]>,
     pub(super) control: &'a Control,
 }

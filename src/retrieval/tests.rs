@@ -1,4 +1,5 @@
-//! Retrieval of wavefronts drawn from the prior, with pistons, from simulated images of the same model.
+//! Retrieval of wavefronts drawn from the prior, with pistons, from simulated images of the same
+//! model.
 
 use super::*;
 use crate::control::{Control, Stage};
@@ -101,17 +102,18 @@ fn wavefronts_drawn_are_retrieved_from_their_images() {
             let (all, coarse) = (rms_nm(&retriever, error_nm.iter().copied()), coarse_rms_nm(&retriever, &error_nm));
             println!("noise {noise} image {image}: {all:.1} and {coarse:.1} of {size:.1} nm, {report:?}");
             assert!(report.reason.has_converged(), "{report:?}");
-            // Local minima occur, the more often the smaller the pupil. Their χ² is five and more times that of unresolved
-            // turbulence.
+            // Local minima occur, the more often the smaller the pupil. Their χ² is five and more
+            // times that of unresolved turbulence.
             if report.reduced_chi2 > 10.0 {
                 continue;
             }
             retrieved += 1;
-            // The crop ends at 30 λ/D, 2.7 cycles/m, and the spot of each frequency is 21 λ/D wide, so between 1 and 4.5
-            // cycles/m ever less is resolved. The turbulence has 0.0863·(f·r0)^(−5/3) rad² at 500 nm
-            // beyond f: 47 nm from 2.7 on, 31 from 4.5 on.
+            // The crop ends at 30 λ/D, 2.7 cycles/m, and the spot of each frequency is 21 λ/D wide,
+            // so between 1 and 4.5 cycles/m ever less is resolved. The turbulence has
+            // 0.0863·(f·r0)^(−5/3) rad² at 500 nm beyond f: 47 nm from 2.7 on, 31 from 4.5 on.
             assert!(all < 40.0, "image {image}: {all} of {size} nm");
-            // The mirror's frequencies are all resolved; the limit is that the fit stops at a hundredth of χ².
+            // The mirror's frequencies are all resolved; the limit is that the fit stops at a
+            // hundredth of χ².
             assert!(coarse < 0.07 * size, "image {image}: {coarse} of {size} nm");
         }
     }
@@ -225,7 +227,8 @@ fn the_psd_of_drawn_wavefronts_is_the_priors() {
         wavefront_nm.iter().zip(&amplitude).map(|(nm, a)| a.sqrt() * (nm - mean)).collect()
     };
     let windowed: Vec<Vec<f64>> = (0..100).map(windowed).collect();
-    // Periodogram pitch²/Σa·|Σ √a·(W − W̄)·exp(−2πi·f·x)|², averaged over the wavefronts and over half a turn.
+    // Periodogram pitch²/Σa·|Σ √a·(W − W̄)·exp(−2πi·f·x)|², averaged over the wavefronts and over
+    // half a turn.
     let (pitch_m, directions) = (retriever.points_m()[1].0 - retriever.points_m()[0].0, 12);
     let density = |f_per_m: f64| {
         let mut power = 0.0;
@@ -242,8 +245,8 @@ fn the_psd_of_drawn_wavefronts_is_the_priors() {
     };
     for f_per_m in [0.6, 0.9, 1.2, 1.8, 2.4] {
         let (found, drawn) = (density(f_per_m), prior.density_nm2_m2_at(f_per_m));
-        // A hundred wavefronts in ten directions and more: 3 %. The pupil's edge smears the PSD over a cycle of
-        // its width, 0.2 cycles/m, over which it changes by up to a third.
+        // A hundred wavefronts in ten directions and more: 3 %. The pupil's edge smears the PSD
+        // over a cycle of its width, 0.2 cycles/m, over which it changes by up to a third.
         assert!((found / drawn - 1.0).abs() < 0.25, "{f_per_m}: {found} {drawn}");
     }
     let step = 0.1;
@@ -290,9 +293,9 @@ fn a_device_batch_agrees_with_the_cpu() {
                 let pairs = found.wavefront_nm.row(image).into_iter().zip(expected.wavefront_nm.row(image));
                 let apart = rms_nm(&retriever, pairs.map(|(a, b)| a - b));
                 println!("{precision} image {image}: {apart:.1e} nm apart, {one:?}");
-                // In f64 the same steps, with growing roundings: 4e-11 nm measured. In f32 roundings lead to other steps towards
-                // the same minimum, which end within about a standard deviation of it: 0.6 nm measured, against 14 nm of error
-                // of a retrieval.
+                // In f64 the same steps, with growing roundings: 4e-11 nm measured. In f32
+                // roundings lead to other steps towards the same minimum, which end within about a
+                // standard deviation of it: 0.6 nm measured, against 14 nm of error of a retrieval.
                 let allowed = if precision == Precision::F64 { 1e-6 } else { 2.0 };
                 assert!(apart < allowed, "{precision} image {image}: {apart} nm");
                 if precision == Precision::F64 {

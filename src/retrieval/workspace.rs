@@ -1,4 +1,5 @@
-//! Memory of a retrieval that images and threads take in turn: optimisations and buffers of a thread.
+//! Memory of a retrieval that images and threads take in turn: optimisations and buffers of a
+//! thread.
 
 use super::model::MapModel;
 use super::optimisation::MapOptimisation;

@@ -1,7 +1,8 @@
 //! Channels: several ways of imaging one wavefront, `[[image.channel]]`.
 //!
-//! A channel has a scene of its own: the keys that it names in place of those of `[image]`, and no channels. Pixels keep their angle on
-//! the sky: where a channel names another wavelength and not its sampling, the sampling follows the wavelength.
+//! A channel has a scene of its own: the keys that it names in place of those of `[image]`, and no
+//! channels. Pixels keep their angle on the sky: where a channel names another wavelength and not
+//! its sampling, the sampling follows the wavelength.
 
 use super::forms;
 use super::table::{Key, Section, Source, shown, suggestion};
@@ -35,7 +36,8 @@ pub(super) struct ChannelText {
 /// The texts of the scenes of the channels in `document`; empty for a scene without channels.
 ///
 /// # Errors
-/// [`Error::Scene`] for a list that is not one, a key that a channel does not have, and names that are not unique.
+/// [`Error::Scene`] for a list that is not one, a key that a channel does not have, and names that
+/// are not unique.
 pub(super) fn texts(source: Source, document: &Document<&str>) -> Result<Vec<ChannelText>> {
     let Some(item) = document.get("image").and_then(Item::as_table_like).and_then(|image| image.get(LIST)) else {
         return Ok(Vec::new());
@@ -123,7 +125,8 @@ fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
     Ok(ChannelText { name, text: document.to_string(), settings })
 }
 
-/// Sets a key of a channel in the text of a scene, `NAME.key`, or removes it where there is no value.
+/// Sets a key of a channel in the text of a scene, `NAME.key`, or removes it where there is no
+/// value.
 ///
 /// # Errors
 /// [`Error::Scene`] for a channel that the scene does not have, or a key that channels do not have.
@@ -157,8 +160,8 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
     }
 }
 
-/// Replaces each channel of the text of a scene, or the only way of imaging of one without channels, by a channel for each of its turns of
-/// the pupil: a name and degrees.
+/// Replaces each channel of the text of a scene, or the only way of imaging of one without
+/// channels, by a channel for each of its turns of the pupil: a name and degrees.
 ///
 /// # Errors
 /// [`Error::Internal`] for a scene with another number of channels.

@@ -13,7 +13,8 @@ impl Scene {
         &self.channels
     }
 
-    /// Name and scene of each way of imaging, in order: of each of its channels, or, for a scene that lists none, its own without a name.
+    /// Name and scene of each way of imaging, in order: of each of its channels, or, for a scene
+    /// that lists none, its own without a name.
     pub fn each_channel(&self) -> Vec<(Option<&str>, &Self)> {
         match self.channels() {
             [] => vec![(None, self)],
@@ -24,8 +25,8 @@ impl Scene {
     /// Most channels of a scene.
     pub(crate) const MAX_CHANNELS: usize = channel::MAX_CHANNELS;
 
-    /// This scene with a channel for each turn of the pupil, by name and degrees, in place of each of its channels, or of its only way of
-    /// imaging.
+    /// This scene with a channel for each turn of the pupil, by name and degrees, in place of each
+    /// of its channels, or of its only way of imaging.
     ///
     /// # Errors
     /// [`Error::Scene`] for names and turns that channels cannot have.

@@ -9,10 +9,11 @@ use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
 impl Scene {
-    /// This scene with other values: pairs of `section.key` and a value in TOML syntax; words and file names may omit
-    /// the quotes. An empty value removes the key. All pairs are set before the validation. Another
-    /// form of the same quantity gives way: `image.flux_e` replaces `image.peak_snr`. [`Scene::text`] has the new values and keeps its
-    /// comments. `image.channel.NAME.key` is a key of the channel NAME.
+    /// This scene with other values: pairs of `section.key` and a value in TOML syntax; words and
+    /// file names may omit the quotes. An empty value removes the key. All pairs are set before the
+    /// validation. Another form of the same quantity gives way: `image.flux_e` replaces
+    /// `image.peak_snr`. [`Scene::text`] has the new values and keeps its comments.
+    /// `image.channel.NAME.key` is a key of the channel NAME.
     ///
     /// # Errors
     /// [`Error::Scene`] for a key that does not exist, or a value that the scene does not accept.
@@ -39,7 +40,8 @@ impl Scene {
             .map_err(|error| after_settings(error, settings))
     }
 
-    /// This scene with other values, which its text has, too: `change` is given the sections of the scene, then those of each channel.
+    /// This scene with other values, which its text has, too: `change` is given the sections of the
+    /// scene, then those of each channel.
     ///
     /// # Errors
     /// As [`System::with`].
@@ -55,7 +57,8 @@ impl Scene {
         self.adopting(&self.system.with_each_channel(change)?)
     }
 
-    /// This scene with the values of `system`, which is its own but for some of them; the text has those that differ.
+    /// This scene with the values of `system`, which is its own but for some of them; the text has
+    /// those that differ.
     ///
     /// # Errors
     /// [`Error::Internal`] for a text that is not TOML.
@@ -89,7 +92,8 @@ impl Scene {
     /// This scene without `key`, which then has its default.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a key that does not exist, and for a scene that is not valid without it.
+    /// [`Error::Scene`] for a key that does not exist, and for a scene that is not valid without
+    /// it.
     pub fn without(&self, key: &str) -> Result<Self> {
         let mut document = self.document()?;
         let sections = directory_of_keys();
@@ -109,8 +113,8 @@ impl Scene {
     }
 }
 
-/// `error` of a scene with these settings; where it is about another key, which the scene's own text sets, it names the
-/// settings, too: without them the scene was valid.
+/// `error` of a scene with these settings; where it is about another key, which the scene's own
+/// text sets, it names the settings, too: without them the scene was valid.
 pub(super) fn after_settings(error: Error, settings: &[(&str, &str)]) -> Error {
     /// More would hide the reason.
     const MOST: usize = 3;

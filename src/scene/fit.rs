@@ -21,14 +21,16 @@ section! {
         ncpa: NcpaBasis, ANY, default(NcpaBasis::Kl);
         /// Number of modes of that basis; "zernike" starts at Noll index 2.
         ncpa_count: usize, between(1.0, 10_000.0), default(66usize);
-        /// Motions of each part of the pupil that the spider separates (petals), among the non-common path aberrations.
+        /// Motions of each part of the pupil that the spider separates (petals), among the
+        /// non-common path aberrations.
         petals: SegmentModes, ANY, default(SegmentModes::None);
         /// FITS modes in place of a basis: image BASIS [mode, y, x] and table MODES (name, group).
         file: Option<PathBuf>, ANY, unset("the basis given by ncpa");
-        /// Largest piston of a segment, about their mean, for which channels of several wavelengths find the whole wavelengths. Estimate only.
+        /// Largest piston of a segment, about their mean, for which channels of several wavelengths
+        /// find the whole wavelengths. Estimate only.
         piston_range_nm: f64, above(0.0, 1e6), default(40_000.0);
-        /// First and last Noll index of Zernike polynomials that are estimated in addition to any basis; none by
-        /// default for ncpa = "none".
+        /// First and last Noll index of Zernike polynomials that are estimated in addition to any
+        /// basis; none by default for ncpa = "none".
         exact_zernikes: Option<NollRange>, between(2.0, 1000.0), unset("[2, 21], and 22 to 45 with a prior");
     }
 }
@@ -57,11 +59,12 @@ impl Check for ModesScene {
 }
 
 section! {
-    /// Settings of the estimate. Estimate only. Unset keys have the values of the optimizer's recipe.
+    /// Settings of the estimate. Estimate only. Unset keys have the values of the optimizer's
+    /// recipe.
     EstimateScene = "estimate" {
-        /// Optimiser and recipe: "gauss-newton" is noise-weighted maximum likelihood; "bfgs" is the method of Lamb et al. (2021)
-        /// (hard-edged pupil, no exact_zernikes, no weights); "paper" is its objective with the optimiser of
-        /// "gauss-newton".
+        /// Optimiser and recipe: "gauss-newton" is noise-weighted maximum likelihood; "bfgs" is the
+        /// method of Lamb et al. (2021) (hard-edged pupil, no exact_zernikes, no weights); "paper"
+        /// is its objective with the optimiser of "gauss-newton".
         optimizer: Optimizer, ANY, default(Optimizer::GaussNewton);
         /// Weight of each pixel in the fit.
         weighting: Option<Weighting>, ANY, unset("given by optimizer");
@@ -73,47 +76,52 @@ section! {
         recentre: Option<bool>, ANY, unset("given by optimizer");
         /// Pixels on which image and model are compared.
         sampling: Sampling, ANY, default(Sampling::Auto);
-        /// Number of samples along a side of the grid on which a band-limited model is fitted; maps have the pupil's
-        /// grid.
+        /// Number of samples along a side of the grid on which a band-limited model is fitted; maps
+        /// have the pupil's grid.
         samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
         /// Number of wavelengths of the model; the time of an evaluation is proportional to it.
         wavelengths: Option<usize>, between(1.0, 99.0), unset("as the width of the filter requires; 1 with the recipes of Lamb et al.");
         /// Largest number of evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("given by optimizer");
-        /// The fit stops if neither a coefficient nor the RMS of the wavefront would change by more than this.
+        /// The fit stops if neither a coefficient nor the RMS of the wavefront would change by more
+        /// than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("given by optimizer");
-        /// Largest number of restarts, from a perturbed start, of a fit that ended in a wrong minimum; sessions do not
-        /// restart.
+        /// Largest number of restarts, from a perturbed start, of a fit that ended in a wrong
+        /// minimum; sessions do not restart.
         restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the recipes of Lamb et al.");
-        /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the cheapest model within
-        /// it is selected.
+        /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the
+        /// cheapest model within it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
-        /// Memory that an estimate may use in addition to its images, 1e9 bytes; larger problems are divided into
-        /// tiles.
+        /// Memory that an estimate may use in addition to its images, 1e9 bytes; larger problems
+        /// are divided into tiles.
         memory_gb: f64, above(0.0, 1e6), default(8.0);
-        /// Relative standard deviation of the diversity's amplitude, for the error bars: an error of it appears as
-        /// NCPA.
+        /// Relative standard deviation of the diversity's amplitude, for the error bars: an error
+        /// of it appears as NCPA.
         diversity_error: f64, between(0.0, 1.0), default(0.0);
-        /// Optical parameters that are fitted in addition to the modes, to up to six images together.
+        /// Optical parameters that are fitted in addition to the modes, to up to six images
+        /// together.
         fit_optics: Vec<Optic>, ANY, default([]);
-        /// Model: "auto" adds tip and tilt of each segment, Zernikes to Noll 91 or 210, reflectivities, a spider or a central
-        /// obscuration where the scene does not explain the images and one of these does, and with "full-phase" tip and tilt
-        /// of each segment where the mean wavefront shows them; "scene" adds nothing, nor do sessions.
+        /// Model: "auto" adds tip and tilt of each segment, Zernikes to Noll 91 or 210,
+        /// reflectivities, a spider or a central obscuration where the scene does not explain the
+        /// images and one of these does, and with "full-phase" tip and tilt of each segment where
+        /// the mean wavefront shows them; "scene" adds nothing, nor do sessions.
         model: ModelChoice, ANY, default(ModelChoice::Auto);
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the recipes of Lamb et al.");
-        /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront of each image and
-        /// then the static errors, "auto" chooses: "full-phase" where the scene has an AO loop or turbulence and two images
-        /// or more differ by more than noise, flux and shifts explain.
+        /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront
+        /// of each image and then the static errors, "auto" chooses: "full-phase" where the scene
+        /// has an AO loop or turbulence and two images or more differ by more than noise, flux and
+        /// shifts explain.
         method: Method, ANY, default(Method::Modal);
-        /// Knowledge of the AO system that is used, for method = "full-phase"; each level includes those before it.
+        /// Knowledge of the AO system that is used, for method = "full-phase"; each level includes
+        /// those before it.
         ao_knowledge: Option<AoKnowledge>, ANY, unset("\"telemetry\" if the images have it, else \"loop\" if the scene has a loop, else \"spectrum\"");
-        /// Slopes that come with the images, for method = "full-phase": "check" compares them with the slopes of the
-        /// retrieved wavefronts and refuses slopes of another sign, order, unit or time, "use" divides them by the gain that
-        /// was found, "ignore" leaves them out.
+        /// Slopes that come with the images, for method = "full-phase": "check" compares them with
+        /// the slopes of the retrieved wavefronts and refuses slopes of another sign, order, unit
+        /// or time, "use" divides them by the gain that was found, "ignore" leaves them out.
         telemetry: Telemetry, ANY, default(Telemetry::Check);
-        /// Device that computes the estimate; "all" shares the images of a modal estimate among all GPUs, or among all OpenCL devices
-        /// where there is no GPU.
+        /// Device that computes the estimate; "all" shares the images of a modal estimate among all
+        /// GPUs, or among all OpenCL devices where there is no GPU.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
         /// Precision of the imaging chain.
         precision: Option<Precision>, ANY, unset("\"f64\"; \"f32\" for method = \"full-phase\"");
@@ -145,8 +153,8 @@ impl EstimateScene {
         if self.fit_optics.is_empty() {
             return Ok(());
         }
-        // Without weights (the paper's recipes) optics and modes are not identifiable together; a model is planned
-        // without images, so it cannot fit optics.
+        // Without weights (the paper's recipes) optics and modes are not identifiable together; a
+        // model is planned without images, so it cannot fit optics.
         if self.optimizer != Optimizer::GaussNewton || self.weighting == Some(Weighting::None) {
             let sentence =
                 "estimate.fit_optics needs noise weights; optimizer = \"gauss-newton\" without weighting is needed";

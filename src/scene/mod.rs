@@ -1,7 +1,8 @@
-//! Scene: description of telescope, camera, aberrations, AO system and estimate, read from TOML and validated as a
-//! whole.
+//! Scene: description of telescope, camera, aberrations, AO system and estimate, read from TOML and
+//! validated as a whole.
 //!
-//! Only effects that a scene names are modelled. The fields of a [`Scene`] have the names of the TOML keys.
+//! Only effects that a scene names are modelled. The fields of a [`Scene`] have the names of the
+//! TOML keys.
 //!
 //! ```
 //! use cophase::scene::Scene;
@@ -71,8 +72,8 @@ use system::Origin;
 use table::{Reader, Source, shown, suggestion};
 use toml_edit::{Document, Item};
 
-/// Validated, immutable scene: a [`System`], to which it dereferences, with the text that it was read from. [`Scene::with`] makes a changed
-/// copy. Cloning is cheap.
+/// Validated, immutable scene: a [`System`], to which it dereferences, with the text that it was
+/// read from. [`Scene::with`] makes a changed copy. Cloning is cheap.
 #[derive(Debug, Clone)]
 pub struct Scene {
     system: System,
@@ -126,8 +127,9 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Whole, &[])
     }
 
-    /// As [`Scene::from_text`], for a telescope whose pupil and modes are given as arrays: the keys of the pupil and of
-    /// the modes may be incomplete without them. Such a scene can only be used together with these arrays.
+    /// As [`Scene::from_text`], for a telescope whose pupil and modes are given as arrays: the keys
+    /// of the pupil and of the modes may be incomplete without them. Such a scene can only be used
+    /// together with these arrays.
     ///
     /// # Errors
     /// As [`Scene::from_text`].
@@ -135,7 +137,8 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Arrays, &[])
     }
 
-    /// As [`Scene::from_text`], for the scene in an image file: the files that it names may be missing where nothing reads them.
+    /// As [`Scene::from_text`], for the scene in an image file: the files that it names may be
+    /// missing where nothing reads them.
     ///
     /// # Errors
     /// As [`Scene::from_text`].
@@ -143,8 +146,8 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Embedded, &[])
     }
 
-    /// Reads a scene from a regular file or a pipe of at most 1 MiB. Relative file names in it refer to the file's
-    /// directory; those of a pipe to the working directory.
+    /// Reads a scene from a regular file or a pipe of at most 1 MiB. Relative file names in it
+    /// refer to the file's directory; those of a pipe to the working directory.
     ///
     /// # Errors
     /// [`Error::File`] for a file that cannot be read as text, and those of [`Scene::from_text`].
@@ -248,7 +251,8 @@ impl Deref for Scene {
     }
 }
 
-/// Whether a text that is not TOML may be the name of a file or a preset: one line without the signs of a section or a key.
+/// Whether a text that is not TOML may be the name of a file or a preset: one line without the
+/// signs of a section or a key.
 fn is_name(text: &str) -> bool {
     let text = text.trim();
     !text.is_empty() && !text.contains(['\n', '=', '[', ']', '#', '"'])

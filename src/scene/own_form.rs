@@ -4,10 +4,11 @@ use super::Scene;
 use super::forms::{FOCUS, SAMPLING};
 
 impl Scene {
-    /// The key by which this scene names the quantity of `key`, and `value` in its unit: a sampling of 2 is
-    /// `image.pixel_mas = 9.95` in a scene that names a pixel in milliarcseconds. A key of another quantity, or of one that the
-    /// scene does not name, is returned unchanged. A pixel is inversely proportional to the sampling, a defocus proportional to
-    /// that in waves; a defocus of 0 has no ratio.
+    /// The key by which this scene names the quantity of `key`, and `value` in its unit: a sampling
+    /// of 2 is `image.pixel_mas = 9.95` in a scene that names a pixel in milliarcseconds. A key of
+    /// another quantity, or of one that the scene does not name, is returned unchanged. A pixel is
+    /// inversely proportional to the sampling, a defocus proportional to that in waves; a defocus
+    /// of 0 has no ratio.
     pub(crate) fn own_form(&self, key: &str, value: f64) -> (String, f64) {
         let image = &self.image;
         let own = key.strip_prefix("image.");
@@ -24,7 +25,8 @@ impl Scene {
         }
     }
 
-    /// The key of the focal length of a scene whose pixel is a pitch, its value, and whether the defocus of the scene depends on it, too.
+    /// The key of the focal length of a scene whose pixel is a pitch, its value, and whether the
+    /// defocus of the scene depends on it, too.
     pub(crate) fn focal_form(&self) -> Option<(&'static str, f64, bool)> {
         let image = &self.image;
         image.pixel_pitch_um?;

@@ -1,5 +1,6 @@
-//! Optical parameters: the numbers of the optics on which images depend. Fits, searches and checks of the optics, the words of
-//! `estimate.fit_optics` and their reference read this table: a parameter that is fitted is a row of it.
+//! Optical parameters: the numbers of the optics on which images depend. Fits, searches and checks
+//! of the optics, the words of `estimate.fit_optics` and their reference read this table: a
+//! parameter that is fitted is a row of it.
 
 use super::pupil::PupilScene;
 use super::telescope::ImageScene;
@@ -13,17 +14,19 @@ use toml_edit::Value;
 const WIDTH_STEP: f64 = 1e-3;
 /// Step of the side of a pixel's square: it changes the highest frequencies of the image by 2 %.
 const FILL_STEP: f64 = 0.03;
-/// Step of the width of the diffusion, in pixels: at 0.4 pixels it changes the highest frequencies of the image by 1 to 4 %.
+/// Step of the width of the diffusion, in pixels: at 0.4 pixels it changes the highest frequencies
+/// of the image by 1 to 4 %.
 const DIFFUSION_STEP: f64 = 0.01;
-/// Step of the obscuration's diameter relative to the pupil: the pupil's area changes by 0.1 % at a third of its diameter.
+/// Step of the obscuration's diameter relative to the pupil: the pupil's area changes by 0.1 % at a
+/// third of its diameter.
 const OBSCURATION_STEP: f64 = 2e-3;
 /// Step of the spider's width, m.
 const SPIDER_STEP_M: f64 = 1e-3;
 /// Step of a term of the illumination: as that of a segment's amplitude.
 const ILLUMINATION_STEP: f64 = 0.02;
 
-/// What `estimate.fit_optics` fits in addition to the modes: a number of the scene, some that belong together, or the light that each segment
-/// reflects.
+/// What `estimate.fit_optics` fits in addition to the modes: a number of the scene, some that
+/// belong together, or the light that each segment reflects.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Optic {
     /// Number of its row.
@@ -36,7 +39,8 @@ struct Row {
     about: &'static str,
     /// Its place among those that a check of images examines; `None` for one that it does not.
     check: Option<u8>,
-    /// What else has the same effect, of one whose wrong value is a likely cause where the scene does not explain an image.
+    /// What else has the same effect, of one whose wrong value is a likely cause where the scene
+    /// does not explain an image.
     cause: Option<&'static str>,
     /// None for the reflectivities, which are 1 in every scene.
     parameters: &'static [Parameter],
@@ -146,18 +150,20 @@ impl Optic {
         self.row().about
     }
 
-    /// What else has the same effect, of one whose wrong value is a likely cause where the scene does not explain an image.
+    /// What else has the same effect, of one whose wrong value is a likely cause where the scene
+    /// does not explain an image.
     pub(crate) fn as_cause(self) -> Option<&'static str> {
         self.row().cause
     }
 
-    /// The numbers of the scene that it stands for; none for the reflectivities, which are 1 in every scene.
+    /// The numbers of the scene that it stands for; none for the reflectivities, which are 1 in
+    /// every scene.
     pub(crate) fn parameters(self) -> &'static [Parameter] {
         self.row().parameters
     }
 
-    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene, and for the
-    /// illumination, which has several keys.
+    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every
+    /// scene, and for the illumination, which has several keys.
     pub fn key(self) -> Option<&'static str> {
         match self.parameters() {
             [one] => Some(one.key),
@@ -214,23 +220,26 @@ impl Parameter {
         ROWS.iter().flat_map(|row| row.parameters)
     }
 
-    /// What in a scene has no such parameter, or an image that does not depend on it to first order.
+    /// What in a scene has no such parameter, or an image that does not depend on it to first
+    /// order.
     pub(crate) fn absence(&self, pupil: &PupilScene, image: &ImageScene) -> Option<&'static str> {
         (self.absence)(pupil, image)
     }
 
-    /// Step of a difference of images that is their derivative by this parameter: about a twentieth of a pixel at the rim of a spot.
+    /// Step of a difference of images that is their derivative by this parameter: about a twentieth
+    /// of a pixel at the rim of a spot.
     pub(crate) fn step(&self, pupil: &PupilScene, image: &ImageScene) -> f64 {
         (self.step)(pupil, image)
     }
 
-    /// Smallest difference of the images' value from the scene's that is a fault. The model is not exact: it has finitely many samples of
-    /// the pupil and of modes.
+    /// Smallest difference of the images' value from the scene's that is a fault. The model is not
+    /// exact: it has finitely many samples of the pupil and of modes.
     pub(crate) fn least_fault(&self, of_scene: f64) -> f64 {
         (self.least_fault)(of_scene)
     }
 
-    /// Where the parameter is searched for in images that a scene does not explain; `None` where it is not.
+    /// Where the parameter is searched for in images that a scene does not explain; `None` where it
+    /// is not.
     pub(crate) fn search(&self, pupil: &PupilScene, image: &ImageScene) -> Option<SearchRange> {
         (self.search)(pupil, image)
     }
@@ -242,7 +251,8 @@ impl PartialEq for Parameter {
     }
 }
 
-/// What most parameters have: every scene has them, they change the imaging alone, and no search or check looks for them.
+/// What most parameters have: every scene has them, they change the imaging alone, and no search or
+/// check looks for them.
 const USUAL: Parameter = Parameter {
     key: "",
     changes: Changes::Imaging,
@@ -321,7 +331,8 @@ static ROWS: &[Row] = &[
             search: |_, image| {
                 image.filter_file.is_none().then_some(SearchRange {
                     kind: ParameterKind::Camera,
-                    // From narrow-band filters, 1 to 2 %, to those of the atmosphere's windows, 15 to 20 %.
+                    // From narrow-band filters, 1 to 2 %, to those of the atmosphere's windows, 15
+                    // to 20 %.
                     range: 0.0..=0.25,
                     first_step: 0.01,
                     last_step: 0.001,
@@ -429,8 +440,9 @@ const fn illumination(key: &'static str) -> Parameter {
     Parameter { key, step: |_, _| ILLUMINATION_STEP, least_fault: |_| 0.02, ..USUAL }
 }
 
-/// Search for a shadow of the pupil, which is `own` in the scene; steps are fractions of the pupil's width, for half a percent of its area and
-/// less: on Keck 10 cm of an obscuration's diameter and 1 cm of the spider's width.
+/// Search for a shadow of the pupil, which is `own` in the scene; steps are fractions of the
+/// pupil's width, for half a percent of its area and less: on Keck 10 cm of an obscuration's
+/// diameter and 1 cm of the spider's width.
 fn shadow(pupil: &PupilScene, own: f64, farthest: f64, first_step: f64, last_step: f64) -> Option<SearchRange> {
     pupil.extent_m().map(|width_m| SearchRange {
         kind: ParameterKind::Telescope,

@@ -13,25 +13,30 @@ use std::path::PathBuf;
 section! {
     /// Pupil of the telescope.
     PupilScene = "pupil" {
-        /// Hexagonal segments in rings ("keck" and "hexagonal" differ in the default of central_segment only), or round ones in their places.
+        /// Hexagonal segments in rings ("keck" and "hexagonal" differ in the default of
+        /// central_segment only), or round ones in their places.
         aperture: Aperture, ANY, default(Aperture::Keck);
-        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels: whole numbers; outside of the segments −1, 0 where they begin at 1, or 255 or 65535 of
+        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels:
+        /// whole numbers; outside of the segments −1, 0 where they begin at 1, or 255 or 65535 of
         /// unsigned integers). Needs grid_m.
         file: Option<PathBuf>, ANY, unset("hexagons, given by aperture");
         /// Number of rings of hexagons around the centre.
         rings: usize, between(0.0, 30.0), default(3usize);
         /// Side of a segment; the radius of a round one.
         segment_side_m: f64, above(0.0, 100.0), default(0.9);
-        /// Gap between the edges of neighbouring segments. The distance between centres is √3·side + gap, or 2·side + gap of round segments.
+        /// Gap between the edges of neighbouring segments. The distance between centres is √3·side
+        /// + gap, or 2·side + gap of round segments.
         segment_gap_m: f64, between(0.0, 10.0), default(0.003);
         /// Number of rings next to the centre that have no segments.
         removed_rings: usize, between(0.0, 29.0), default(0usize);
         /// Largest distance of a segment's centre from the axis: hexagons farther out are left out.
         outer_radius_m: Option<f64>, above(0.0, 100.0), unset("complete rings");
-        /// The observatory's numbers or names of the segments, in the order of ours, which rotation_deg does not change: column LABEL of tables,
-        /// the picture of the pupil, and --segment.
+        /// The observatory's numbers or names of the segments, in the order of ours, which
+        /// rotation_deg does not change: column LABEL of tables, the picture of the pupil, and
+        /// --segment.
         segment_labels: Option<SegmentLabels>, ANY, unset("our numbers, from 0");
-        /// Whether there is a central segment; the default is true for aperture = "hexagonal" and "round".
+        /// Whether there is a central segment; the default is true for aperture = "hexagonal" and
+        /// "round".
         central_segment: bool, ANY, default(false);
         /// Diameter of the circular central obscuration; 0 for none.
         central_obscuration_m: f64, between(0.0, 1000.0), default(0.0);
@@ -40,14 +45,15 @@ section! {
         /// Directions of the spider's lines through the centre, counter-clockwise from +x before
         /// rotation_deg; each line is two vanes.
         spider_angles_deg: Vec<f64>, between(-360.0, 360.0), default([0.0, 60.0, 120.0]);
-        /// Directions of vanes that end at the centre, counter-clockwise from +x before rotation_deg; in place of
-        /// spider_angles_deg.
+        /// Directions of vanes that end at the centre, counter-clockwise from +x before
+        /// rotation_deg; in place of spider_angles_deg.
         spider_vanes_deg: Option<Vec<f64>>, between(-360.0, 360.0), unset("the lines of spider_angles_deg");
-        /// Rotation of segments, their numbers and the spider about the axis, counter-clockwise; modes, diversity and mirror are
-        /// not rotated. 'cophase scene --plot' shows it.
+        /// Rotation of segments, their numbers and the spider about the axis, counter-clockwise;
+        /// modes, diversity and mirror are not rotated. 'cophase scene --plot' shows it.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
-        /// Illumination of the pupil, relative to its mean, with X = 2x/grid_m and Y = 2y/grid_m:
-        /// 1 + illumination_x·X + illumination_y·Y + illumination_edge·(2X² + 2Y² − 1). This is its slope along x.
+        /// Illumination of the pupil, relative to its mean, with X = 2x/grid_m and Y = 2y/grid_m: 1
+        /// + illumination_x·X + illumination_y·Y + illumination_edge·(2X² + 2Y² − 1). This is its
+        /// slope along x.
         illumination_x: f64, between(-0.9, 0.9), default(0.0);
         /// Slope of the illumination along y.
         illumination_y: f64, between(-0.9, 0.9), default(0.0);
@@ -55,8 +61,8 @@ section! {
         illumination_edge: f64, between(-0.9, 0.9), default(0.0);
         /// Side of the square pupil grid. λ/D in other keys means λ/grid_m.
         grid_m: Option<f64>, above(0.0, 1000.0), unset("the smallest grid that contains the pupil");
-        /// Number of samples along a side of the estimator's pupil grid. A file with at least twice as many is a fine
-        /// map.
+        /// Number of samples along a side of the estimator's pupil grid. A file with at least twice
+        /// as many is a fine map.
         samples: usize, even(16.0, 2048.0), default(120usize);
         /// Sampling of the pupil in the model.
         model: Option<PupilModel>, ANY, unset("\"band-limited\"; for a file that is not a fine map \"hard\"");
@@ -93,7 +99,8 @@ impl PupilScene {
         self.aperture == Aperture::Round
     }
 
-    /// Side of the smallest square, centred on the axis, that contains the segments, m; `None` for a pupil from a file.
+    /// Side of the smallest square, centred on the axis, that contains the segments, m; `None` for
+    /// a pupil from a file.
     pub fn extent_m(&self) -> Option<f64> {
         let width_m = if self.is_round() { HexagonLayout::width_of_discs_m } else { HexagonLayout::width_m };
         self.layout().map(|layout| width_m(&layout, self.segment_side_m))
@@ -130,7 +137,8 @@ impl PupilScene {
             );
             return Err(reader.error("central_obscuration_m", sentence));
         }
-        // Allows for an extent that was rounded to fewer digits: a part in 10⁹ is far below a sample.
+        // Allows for an extent that was rounded to fewer digits: a part in 10⁹ is far below a
+        // sample.
         match self.grid_m {
             Some(grid_m) if grid_m * (1.0 + 1e-9) < extent_m => {
                 let segments = if self.is_round() { "discs of radius" } else { "hexagons of side" };

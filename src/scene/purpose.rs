@@ -5,8 +5,8 @@
 pub(crate) enum Purpose {
     /// The scene is complete by itself.
     Whole,
-    /// The scene is the one in an image file. The files that it names may be on another machine: one that nothing reads may be
-    /// missing.
+    /// The scene is the one in an image file. The files that it names may be on another machine:
+    /// one that nothing reads may be missing.
     Embedded,
     /// Arrays of the caller replace the scene's pupil and optionally its modes.
     Arrays,

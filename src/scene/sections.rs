@@ -1,4 +1,5 @@
-//! Sections of a scene, as numbers and words: which there are, how they are read and checked, and what contradicts each other between them.
+//! Sections of a scene, as numbers and words: which there are, how they are read and checked, and
+//! what contradicts each other between them.
 
 use super::adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
 use super::commands::CommandsScene;
@@ -26,8 +27,8 @@ macro_rules! sections {
                 Ok(Self { $($name: <$type>::read_checked(source, document.get(stringify!($name)))?,)+ })
             }
 
-            /// Keys whose values differ from those of `other`, as section, key and value in TOML syntax; an empty value is that of a key without
-            /// one.
+            /// Keys whose values differ from those of `other`, as section, key and value in TOML
+            /// syntax; an empty value is that of a key without one.
             pub(super) fn differences(&self, other: &Self) -> Vec<(&'static str, &'static str, String)> {
                 let mut all = Vec::new();
                 $(self.$name.add_differences(&other.$name, &mut all);)+
@@ -49,8 +50,8 @@ macro_rules! sections {
                 }
             }
 
-            /// Sets the key `name` of a section, or leaves it out where there is no value; false where the key does not exist or accepts no such
-            /// value.
+            /// Sets the key `name` of a section, or leaves it out where there is no value; false
+            /// where the key does not exist or accepts no such value.
             pub(super) fn set_value(&mut self, section: &str, name: &str, value: Option<&SettingValue>) -> bool {
                 match section {
                     $(stringify!($name) => self.$name.set_value_of(name, value),)+

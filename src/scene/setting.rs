@@ -1,5 +1,5 @@
-//! Setting: a key of the scene and a value for it, where the key is known at run time alone: a value that a file states, or one that a check
-//! proposes.
+//! Setting: a key of the scene and a value for it, where the key is known at run time alone: a
+//! value that a file states, or one that a check proposes.
 
 use super::edit::after_settings;
 use super::own_form::rounded;
@@ -66,7 +66,8 @@ impl fmt::Display for Setting {
 }
 
 impl Sections {
-    /// The value of `key` as a setting; `None` for a key without a value, and for values that are words or names of files.
+    /// The value of `key` as a setting; `None` for a key without a value, and for values that are
+    /// words or names of files.
     pub(crate) fn setting(&self, key: &str) -> Option<Setting> {
         let (section, name) = key.split_once('.')?;
         self.value(section, name).map(|value| Setting::new(key, value))

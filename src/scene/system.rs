@@ -1,4 +1,5 @@
-//! System: telescope, camera, modes, adaptive optics and settings of the estimate, as numbers and without the text that they were read from.
+//! System: telescope, camera, modes, adaptive optics and settings of the estimate, as numbers and
+//! without the text that they were read from.
 
 use super::purpose::Purpose;
 use super::sections::Sections;
@@ -8,7 +9,8 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Validated, immutable system. It dereferences to its [`Sections`]; a [`Scene`](super::Scene) is a system with its text. Cloning is cheap.
+/// Validated, immutable system. It dereferences to its [`Sections`]; a [`Scene`](super::Scene) is a
+/// system with its text. Cloning is cheap.
 #[derive(Debug, Clone)]
 pub struct System {
     content: Arc<Content>,
@@ -58,10 +60,12 @@ impl System {
         Self { content: Arc::new(Content { sections, name, directory, purpose: origin.purpose, has_mirror, channels }) }
     }
 
-    /// This system with other values: `change` is given the sections of the system, then those of each channel.
+    /// This system with other values: `change` is given the sections of the system, then those of
+    /// each channel.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a value out of the range of its key, and for values that contradict each other.
+    /// [`Error::Scene`] for a value out of the range of its key, and for values that contradict
+    /// each other.
     pub fn with(&self, change: impl Fn(&mut Sections)) -> Result<Self> {
         self.changed(&[], &|sections| {
             change(sections);
@@ -85,8 +89,8 @@ impl System {
         Ok(Self { content: Arc::new(content) })
     }
 
-    /// This system with other values in its channels, whose numbers from 0 `change` is given; a system without a list of channels is its only
-    /// one.
+    /// This system with other values in its channels, whose numbers from 0 `change` is given; a
+    /// system without a list of channels is its only one.
     ///
     /// # Errors
     /// As [`System::with`].
@@ -140,7 +144,8 @@ impl System {
         &self.content.channels
     }
 
-    /// Refuses a system with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
+    /// Refuses a system with several channels, for `who` (a noun in the plural), who images the
+    /// wavefront in one way.
     ///
     /// # Errors
     /// [`Error::Scene`].

@@ -1,5 +1,5 @@
-//! Table of keys. A section is declared once with [`section!`]; its struct, parser, error messages, suggestions for
-//! misspelt keys and reference are generated from that declaration.
+//! Table of keys. A section is declared once with [`section!`]; its struct, parser, error messages,
+//! suggestions for misspelt keys and reference are generated from that declaration.
 
 use super::purpose::Purpose;
 use super::value::{FromToml, Range, SettingValue};
@@ -54,13 +54,16 @@ pub(super) trait Section: Sized {
     fn keys() -> Vec<Key>;
     /// Reads and checks each key separately.
     fn read(reader: &Reader) -> Result<Self>;
-    /// Keys whose values differ from those of `other`, and their values in TOML syntax; empty for a key without one.
+    /// Keys whose values differ from those of `other`, and their values in TOML syntax; empty for a
+    /// key without one.
     fn differences(&self, other: &Self) -> Vec<(&'static str, String)>;
     /// The first key whose value is out of its range: its name, the value, and what is accepted.
     fn key_out_of_range(&self) -> Option<(&'static str, String, String)>;
-    /// Value of a key, as a setting holds it; `None` for a key without one, and for words and names of files.
+    /// Value of a key, as a setting holds it; `None` for a key without one, and for words and names
+    /// of files.
     fn value(&self, key: &str) -> Option<SettingValue>;
-    /// Sets a key, or leaves it out where there is no value; false where the key does not exist or accepts no such value.
+    /// Sets a key, or leaves it out where there is no value; false where the key does not exist or
+    /// accepts no such value.
     fn set_value(&mut self, key: &str, value: Option<&SettingValue>) -> bool;
 }
 
@@ -194,8 +197,8 @@ impl<'a> Reader<'a> {
         self.table().is_some_and(|table| table.contains_key(key))
     }
 
-    /// Position of a key for a message: `scene.toml line 12`, or `scene.toml, setting image.pixels` for a key that a caller
-    /// has set; that of its section if the scene does not name the key.
+    /// Position of a key for a message: `scene.toml line 12`, or `scene.toml, setting image.pixels`
+    /// for a key that a caller has set; that of its section if the scene does not name the key.
     pub(super) fn at(&self, key: &str) -> String {
         let is_this = |name: &str| name.split_once('.') == Some((self.section, key));
         if self.source.settings.iter().any(|(name, _)| is_this(name)) {
@@ -293,9 +296,11 @@ fn excerpt(item: &Item) -> String {
     }
 }
 
-/// Finds the name in `known` that is most similar to a misspelt `word`; `None` if no name is similar.
+/// Finds the name in `known` that is most similar to a misspelt `word`; `None` if no name is
+/// similar.
 pub(super) fn nearest<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> Option<&'k str> {
-    // A third of the letters may differ: enough for a misprint or a missing unit, too few for another word.
+    // A third of the letters may differ: enough for a misprint or a missing unit, too few for
+    // another word.
     let (distance, name) = known.into_iter().map(|name| (strsim::damerau_levenshtein(word, name), name)).min()?;
     let similar = strsim::jaro_winkler(word, name) > 0.9;
     (similar || 3 * distance <= name.chars().count()).then_some(name)
@@ -306,7 +311,8 @@ pub(super) fn suggestion<'k>(word: &str, known: impl IntoIterator<Item = &'k str
     nearest(word, known).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
 }
 
-/// Key for a message: TOML allows any text of any length as a quoted key, so it is shortened to printable characters.
+/// Key for a message: TOML allows any text of any length as a quoted key, so it is shortened to
+/// printable characters.
 pub(super) fn shown(key: &str) -> String {
     key.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect()
 }

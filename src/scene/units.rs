@@ -1,12 +1,15 @@
-//! Pixel scale and defocus in an instrument's words, converted once to the keys that everything else reads.
+//! Pixel scale and defocus in an instrument's words, converted once to the keys that everything
+//! else reads.
 //!
-//! With the side `L` of the pupil's grid (`pupil.grid_m`), the wavelength λ, and the focal length `f = F·L` of the focal ratio `F`:
+//! With the side `L` of the pupil's grid (`pupil.grid_m`), the wavelength λ, and the focal length
+//! `f = F·L` of the focal ratio `F`:
 //!
 //! * pixel of the angle θ: sampling λ/(L·θ); pixel of the pitch p: θ = p/f, sampling λ·F/p;
-//! * focus `W(r) = a·r²` over the pupil: RMS |a|·σ, with σ the standard deviation of r² over the pupil (zero mean, weight A);
-//!   peak to valley a·R² over the circle of radius R around the pupil, 2√3·RMS for a full circle (Noll 1976, JOSA 66, 207);
-//! * detector displaced along the axis by ΔL: a = ΔL/(2f²), so ΔL/(8F²) at the edge r = L/2 (Goodman, Introduction to Fourier Optics,
-//!   section 6.4, for ΔL ≪ f).
+//! * focus `W(r) = a·r²` over the pupil: RMS |a|·σ, with σ the standard deviation of r² over the
+//!   pupil (zero mean, weight A); peak to valley a·R² over the circle of radius R around the pupil,
+//!   2√3·RMS for a full circle (Noll 1976, JOSA 66, 207);
+//! * detector displaced along the axis by ΔL: a = ΔL/(2f²), so ΔL/(8F²) at the edge r = L/2
+//!   (Goodman, Introduction to Fourier Optics, section 6.4, for ΔL ≪ f).
 
 use super::pupil::PupilScene;
 use super::sections::Sections;
@@ -23,7 +26,8 @@ const WAVES: std::ops::RangeInclusive<f64> = -20.0..=20.0;
 pub(crate) const MAS_PER_RADIAN: f64 = 180.0 / std::f64::consts::PI * 3.6e6;
 
 impl Sections {
-    /// Converts the other forms of the sampling and of the defocus to `samples_per_lambda_over_d` and `diversity_focus_waves_rms`.
+    /// Converts the other forms of the sampling and of the defocus to `samples_per_lambda_over_d`
+    /// and `diversity_focus_waves_rms`.
     pub(super) fn convert_units<'r>(&mut self, reader: &dyn Fn(&'static str) -> Reader<'r>) -> Result<()> {
         let reader = reader("image");
         self.convert_sampling(&reader)?;
@@ -122,7 +126,8 @@ impl System {
         self.pupil.grid_m.or(self.pupil.extent_m())
     }
 
-    /// Pixel on the sky, mas: λ/grid_m over the sampling; `None` where arrays of a caller replace the scene's pupil.
+    /// Pixel on the sky, mas: λ/grid_m over the sampling; `None` where arrays of a caller replace
+    /// the scene's pupil.
     pub fn pixel_mas(&self) -> Option<f64> {
         let (grid_m, image) = (self.grid_m()?, &self.image);
         Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * MAS_PER_RADIAN)
@@ -138,8 +143,9 @@ struct FocusShape {
 }
 
 impl PupilScene {
-    /// Moments of the hexagons less the central obscuration and the spider's vanes, on the centres of small triangles; `None` for a pupil
-    /// from a file. The spider turns with the segments, and moments do not depend on a rotation.
+    /// Moments of the hexagons less the central obscuration and the spider's vanes, on the centres
+    /// of small triangles; `None` for a pupil from a file. The spider turns with the segments, and
+    /// moments do not depend on a rotation.
     fn focus_shape(&self) -> Option<FocusShape> {
         let (side, root) = (self.segment_side_m, 3f64.sqrt());
         let hexagons = HexagonLayout { rotation_deg: 0.0, ..self.layout()? }.hexagons();
@@ -171,8 +177,8 @@ impl PupilScene {
     }
 }
 
-/// Centres of equal triangles that fill a hexagon with vertices at ±`side` on x, about its centre. Their own second moments, a part in
-/// 10⁵ of those of a pupil, are left out.
+/// Centres of equal triangles that fill a hexagon with vertices at ±`side` on x, about its centre.
+/// Their own second moments, a part in 10⁵ of those of a pupil, are left out.
 fn points_of_hexagon(side: f64) -> Vec<(f64, f64)> {
     const ALONG: i64 = 32;
     let step = side / ALONG as f64;
@@ -245,7 +251,8 @@ mod tests {
         let own = channel("image.channel.plus.diversity_focus_waves_pv", "8");
         // The preset has the waves of a sampled pupil, whose struts are as wide as its samples.
         assert!((own / 1.9104 - 1.0).abs() < 3e-3, "{own}");
-        // Stage: W = ΔL/(8F²) at the edge of the grid's circle, whose radius is 5.475 m: the RMS of that r² term over the pupil.
+        // Stage: W = ΔL/(8F²) at the edge of the grid's circle, whose radius is 5.475 m: the RMS of
+        // that r² term over the pupil.
         let stage = scene("focal_ratio = 15\ndiversity_stage_mm = 20").unwrap().image.diversity_focus_waves_rms;
         let other = scene("focal_length_m = 164.25\ndiversity_stage_mm = 20").unwrap();
         assert_eq!(other.image.diversity_focus_waves_rms, stage);

@@ -127,7 +127,8 @@ pub(super) trait FromToml: Sized {
     fn is_within(&self, _range: &Range) -> bool {
         true
     }
-    /// The value, as a setting holds it; `None` where there is none, and for types of which there are no settings.
+    /// The value, as a setting holds it; `None` where there is none, and for types of which there
+    /// are no settings.
     fn to_setting(&self) -> Option<SettingValue> {
         None
     }
@@ -254,7 +255,8 @@ impl FromToml for String {
 /// Most items of a list: more than the 2791 segments of 30 rings.
 pub(super) const LONGEST_LIST: usize = 4096;
 
-/// The items of a list, each as `item` reads it; `None` for another type, a longer list, or an item that is not accepted.
+/// The items of a list, each as `item` reads it; `None` for another type, a longer list, or an item
+/// that is not accepted.
 pub(super) fn items<T>(value: &Value, item: impl FnMut(&Value) -> Option<T>) -> Option<Vec<T>> {
     value.as_array().filter(|array| array.len() <= LONGEST_LIST)?.iter().map(item).collect()
 }

@@ -13,13 +13,14 @@ use ndarray::{Array2, s};
 use rand::Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
-/// Least number of wavelengths of a filter of finite width. The simulation uses twice as many as a model needs, so that
-/// the discretisation error of a model is visible in its residuals.
+/// Least number of wavelengths of a filter of finite width. The simulation uses twice as many as a
+/// model needs, so that the discretisation error of a model is visible in its residuals.
 const LEAST_WAVELENGTHS: usize = 7;
 
-/// Memory of the camera of an artificial source for each sample of its grid, bytes: the field (16), its transform, the weights
-/// of the segments with their indices, coordinates and wavefronts at the illuminated samples. Measured on the Keck pupil: 112
-/// to 120 from 1024 to 4096 samples a side, for the whole process.
+/// Memory of the camera of an artificial source for each sample of its grid, bytes: the field (16),
+/// its transform, the weights of the segments with their indices, coordinates and wavefronts at the
+/// illuminated samples. Measured on the Keck pupil: 112 to 120 from 1024 to 4096 samples a side,
+/// for the whole process.
 const BYTES_PER_SAMPLE: u64 = 120;
 
 /// Pixels along a side of the square that holds the frame: even, as transforms are.
@@ -42,7 +43,8 @@ impl<'a> Camera<'a> {
     /// [`Telescope::truth_samples`]).
     ///
     /// # Errors
-    /// [`crate::Error::Value`] for a coarse pupil map and a finer grid; those of reading the diversity and the filter.
+    /// [`crate::Error::Value`] for a coarse pupil map and a finer grid; those of reading the
+    /// diversity and the filter.
     pub fn new(scene: &'a System, telescope: &'a Telescope) -> Result<Self> {
         let own = telescope.pupil.grid;
         let stated = scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
@@ -58,7 +60,8 @@ impl<'a> Camera<'a> {
         Ok(Self { scene, telescope, grid, weights, diversity, filter: Filter::new(scene)? })
     }
 
-    /// Computes the noise-free PSF on the detector's frame, `[y, x]`; it sums to 1 over an unbounded detector.
+    /// Computes the noise-free PSF on the detector's frame, `[y, x]`; it sums to 1 over an
+    /// unbounded detector.
     ///
     /// # Errors
     /// [`crate::Error::Shape`] for an impossible sampling.
@@ -138,9 +141,9 @@ impl<'a> Camera<'a> {
     }
 }
 
-/// Electrons of the star: `image.flux_e`, or the flux for which the brightest pixel (`peak` of the PSF) has the
-/// signal-to-noise ratio `image.peak_snr` = s/√(s + background + read noise²), s its signal. A scene has one of the two noises where it
-/// does not have a flux.
+/// Electrons of the star: `image.flux_e`, or the flux for which the brightest pixel (`peak` of the
+/// PSF) has the signal-to-noise ratio `image.peak_snr` = s/√(s + background + read noise²), s its
+/// signal. A scene has one of the two noises where it does not have a flux.
 pub fn flux_e(image: &ImageScene, peak: f64) -> f64 {
     image.flux_e.unwrap_or_else(|| {
         let snr = image.peak_snr.unwrap_or(500.0);

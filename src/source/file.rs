@@ -8,11 +8,13 @@ use crate::{Error, Result};
 use ndarray::Array3;
 use std::path::Path;
 
-/// Writes images of an artificial source, those of each channel of the scene in order: `IMAGES` (electrons; of the second channel
-/// with `EXTVER` 2, and so on), `TRUTH_PHASING` and `TRUTH_NCPA` (nm), tables `TRUTH` and `SCENE`. The write is atomic.
+/// Writes images of an artificial source, those of each channel of the scene in order: `IMAGES`
+/// (electrons; of the second channel with `EXTVER` 2, and so on), `TRUTH_PHASING` and `TRUTH_NCPA`
+/// (nm), tables `TRUTH` and `SCENE`. The write is atomic.
 ///
 /// # Errors
-/// [`Error::Shape`] for images of another number of channels than the scene has; [`Error::File`] if the file cannot be written.
+/// [`Error::Shape`] for images of another number of channels than the scene has; [`Error::File`] if
+/// the file cannot be written.
 pub fn write(path: &Path, scene: &System, scene_text: &str, made: &[SourceImages]) -> Result<()> {
     let channels = scene.channels();
     let (Some(first), true) = (made.first(), made.len() == channels.len().max(1)) else {
@@ -30,8 +32,9 @@ pub fn write(path: &Path, scene: &System, scene_text: &str, made: &[SourceImages
     file.finish()
 }
 
-/// Writes the images `[image, y, x]`, electrons, of the channel `number` of `scene`, from 0, which is also that of the images of a scene
-/// without channels; `flux_e` is the star's in each. Returns the name of the HDU, which has the cards of [`image_cards`].
+/// Writes the images `[image, y, x]`, electrons, of the channel `number` of `scene`, from 0, which
+/// is also that of the images of a scene without channels; `flux_e` is the star's in each. Returns
+/// the name of the HDU, which has the cards of [`image_cards`].
 pub(crate) fn channel_images<A: Copy + Into<f64>>(
     file: &mut FitsWriter,
     scene: &System,
@@ -48,7 +51,8 @@ pub(crate) fn channel_images<A: Copy + Into<f64>>(
     Ok(hdu)
 }
 
-/// Name of the HDU `name` of a channel, by its number from 0, for [`FitsWriter`]: the EXTVER counts the channels from 1.
+/// Name of the HDU `name` of a channel, by its number from 0, for [`FitsWriter`]: the EXTVER counts
+/// the channels from 1.
 pub(crate) fn channel_hdu(name: &str, number: usize) -> String {
     if number == 0 { name.into() } else { format!("{name},{}", number + 1) }
 }

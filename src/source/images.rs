@@ -8,7 +8,8 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
 
-/// Random number streams from one channel to the next: more than it has images. Those of the images begin at 1 above a multiple of it.
+/// Random number streams from one channel to the next: more than it has images. Those of the images
+/// begin at 1 above a multiple of it.
 const CHANNEL_STREAMS: u64 = 1 << 32;
 
 /// Simulated images with their truth.
@@ -21,18 +22,20 @@ pub struct SourceImages {
     pub truth: Truth,
 }
 
-/// Simulates the images of `scene`: one draw of aberrations, `image.count` draws of noise. The same scene gives
-/// bit-identical images.
+/// Simulates the images of `scene`: one draw of aberrations, `image.count` draws of noise. The same
+/// scene gives bit-identical images.
 ///
 /// # Errors
-/// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations
-/// that drift, which needs the time axis of an AO simulation, and for channels: [`simulate_channels`].
+/// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`]
+/// for aberrations that drift, which needs the time axis of an AO simulation, and for channels:
+/// [`simulate_channels`].
 pub fn simulate(scene: &System) -> Result<SourceImages> {
     scene.refuse_channels("the images of one camera")?;
     simulate_channel(scene, 0, &|truth, _, _| Ok(truth))
 }
 
-/// As [`simulate`], for each channel of `scene`, in order, or for the only one: the same aberrations, other noise.
+/// As [`simulate`], for each channel of `scene`, in order, or for the only one: the same
+/// aberrations, other noise.
 ///
 /// # Errors
 /// As [`simulate`].
@@ -43,7 +46,8 @@ pub fn simulate_channels(scene: &System) -> Result<Vec<SourceImages>> {
 /// A change of the aberrations that a scene and its telescope have.
 pub type ChangeOfTruth<'a> = dyn Fn(Truth, &System, &Telescope) -> Result<Truth> + 'a;
 
-/// As [`simulate_channels`], with aberrations that `change` makes of those that were drawn, such as what corrections leave of them.
+/// As [`simulate_channels`], with aberrations that `change` makes of those that were drawn, such as
+/// what corrections leave of them.
 ///
 /// # Errors
 /// As [`simulate`], and those of `change`.

@@ -1,8 +1,8 @@
-//! Artificial source (the paper's section 3): simulated images of a point source with known aberrations, photon and
-//! read noise.
+//! Artificial source (the paper's section 3): simulated images of a point source with known
+//! aberrations, photon and read noise.
 //!
-//! The truth is computed on a finer grid than an estimator's, with the exact area of each segment in each sample. So
-//! the simulation does not share the estimator's discretisation errors.
+//! The truth is computed on a finer grid than an estimator's, with the exact area of each segment
+//! in each sample. So the simulation does not share the estimator's discretisation errors.
 
 mod camera;
 pub(crate) mod file;

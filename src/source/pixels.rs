@@ -1,4 +1,5 @@
-//! Response of a simulated detector's pixels: integration over the pixel's area, and a gain of its own.
+//! Response of a simulated detector's pixels: integration over the pixel's area, and a gain of its
+//! own.
 
 use super::random::stream;
 use crate::fourier::PixelResponse;
@@ -8,8 +9,8 @@ use cophase_numerics::fft::{FftDirection, FftReal};
 use ndarray::{Array2, Axis};
 use num_complex::Complex64;
 
-/// Random number stream of the pixel responses under the seed of the aberrations; above the streams of the images'
-/// noise.
+/// Random number stream of the pixel responses under the seed of the aberrations; above the streams
+/// of the images' noise.
 const RESPONSE_STREAM: u64 = 4 << 32;
 
 /// Pixels of a scene's detector.
@@ -27,8 +28,8 @@ impl DetectorPixels {
         Self { area: pixel_response(scene), response_rms: scene.faults.pixel_response_rms, seed }
     }
 
-    /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With pixels that are points and equal responses
-    /// the result is bit-identical to the input.
+    /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With pixels that are
+    /// points and equal responses the result is bit-identical to the input.
     pub(crate) fn apply(&self, psf: Array2<f64>) -> Array2<f64> {
         let mut sampled = if self.area.is_point() { psf } else { integrate_over_pixels(psf, self.area) };
         if self.response_rms > 0.0 {
@@ -43,9 +44,10 @@ impl DetectorPixels {
     }
 }
 
-/// Means over the area of a pixel about each point. An image sampled with at least two pixels per λ/D has no frequency beyond
-/// half a cycle per pixel, so multiplication of its spectrum by the transfer function of the pixel is exact except for the
-/// faint light that wraps around at the edges.
+/// Means over the area of a pixel about each point. An image sampled with at least two pixels per
+/// λ/D has no frequency beyond half a cycle per pixel, so multiplication of its spectrum by the
+/// transfer function of the pixel is exact except for the faint light that wraps around at the
+/// edges.
 fn integrate_over_pixels(psf: Array2<f64>, area: PixelResponse) -> Array2<f64> {
     let mut field = psf.mapv(Complex64::from);
     let (rows, columns) = field.dim();
@@ -78,7 +80,8 @@ mod tests {
 
     #[test]
     fn a_pixel_integrates_over_its_area() {
-        // 1 + cos(2πfx) averaged over a width w about x: 1 + sinc(fw)·cos(2πfx); f = 3/24 cycles a pixel, w = 0.8.
+        // 1 + cos(2πfx) averaged over a width w about x: 1 + sinc(fw)·cos(2πfx); f = 3/24 cycles a
+        // pixel, w = 0.8.
         let f = 3.0 / 24.0;
         let wave = |x: usize| (std::f64::consts::TAU * f * x as f64).cos();
         let area = PixelResponse { width_pixels: 0.8, diffusion_pixels: 0.0 };

@@ -40,13 +40,15 @@ enum Ncpa {
 impl Truth {
     /// Draws the aberrations of `scene`.
     ///
-    /// Pistons are normal, then shifted to zero mean and scaled to exactly the stated RMS over the segments. The NCPA
-    /// are Zernike polynomials on the circle around the pupil. Their variances are proportional to the radial order to
-    /// the stated power; their sum is scaled to exactly the stated RMS over the pupil (weight A, piston removed). Petals are added to
-    /// them. A map of NCPA whose cards have the pistons and tilts of the segments gives those too.
+    /// Pistons are normal, then shifted to zero mean and scaled to exactly the stated RMS over the
+    /// segments. The NCPA are Zernike polynomials on the circle around the pupil. Their variances
+    /// are proportional to the radial order to the stated power; their sum is scaled to exactly the
+    /// stated RMS over the pupil (weight A, piston removed). Petals are added to them. A map of
+    /// NCPA whose cards have the pistons and tilts of the segments gives those too.
     ///
     /// # Errors
-    /// [`Error::File`] for an NCPA map that cannot be read, and one with cards of the segments where the scene draws these.
+    /// [`Error::File`] for an NCPA map that cannot be read, and one with cards of the segments
+    /// where the scene draws these.
     pub fn draw(scene: &System, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
         let segments = telescope.pupil.segments.len();
         let Some(aberrations) = &scene.aberrations else {
@@ -101,8 +103,8 @@ impl Truth {
         Ok(truth)
     }
 
-    /// These aberrations with other pistons, nm, one for each segment of `telescope` (after a correction of the
-    /// segments).
+    /// These aberrations with other pistons, nm, one for each segment of `telescope` (after a
+    /// correction of the segments).
     ///
     /// # Errors
     /// [`Error::Shape`] for a wrong number of pistons, [`Error::Value`] for one that is not finite.
@@ -118,8 +120,8 @@ impl Truth {
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..corrected })
     }
 
-    /// These aberrations with other tilts of the segments along x and y, nm RMS over the segment, one pair for each segment of
-    /// `telescope`.
+    /// These aberrations with other tilts of the segments along x and y, nm RMS over the segment,
+    /// one pair for each segment of `telescope`.
     ///
     /// # Errors
     /// [`Error::Shape`] for a wrong number of tilts, [`Error::Value`] for one that is not finite.
@@ -137,10 +139,12 @@ impl Truth {
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..tilted })
     }
 
-    /// These aberrations with more NCPA: `coefficients_nm` of `basis`, nm. A mirror that is moved adds the opposite of its surface.
+    /// These aberrations with more NCPA: `coefficients_nm` of `basis`, nm. A mirror that is moved
+    /// adds the opposite of its surface.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a wrong number of coefficients, [`Error::Value`] for one that is not finite.
+    /// [`Error::Shape`] for a wrong number of coefficients, [`Error::Value`] for one that is not
+    /// finite.
     pub fn with_added_ncpa(self, telescope: &Telescope, basis: SmoothBasis, coefficients_nm: Vec<f64>) -> Result<Self> {
         let (given, needed) = (coefficients_nm.len(), basis.len());
         if given != needed {
@@ -203,7 +207,8 @@ impl Truth {
         self.tip_tilt_nm.iter().flatten().any(|&tilt| tilt != 0.0)
     }
 
-    /// Maps of the segment errors and of the NCPA on the grid of `pupil`, `[y, x]`, nm, NaN outside the pupil.
+    /// Maps of the segment errors and of the NCPA on the grid of `pupil`, `[y, x]`, nm, NaN outside
+    /// the pupil.
     ///
     /// # Errors
     /// [`Error::Shape`] for a pupil with other segments than the scene's.
@@ -252,8 +257,8 @@ impl Ncpa {
     }
 }
 
-/// RMS of x over a segment, m: √(5/24) of the side for a hexagon. It is measured on the pupil, so that it holds for any
-/// shape.
+/// RMS of x over a segment, m: √(5/24) of the side for a hexagon. It is measured on the pupil, so
+/// that it holds for any shape.
 fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
     let (mut weight, mut square) = (0.0, 0.0);
@@ -270,7 +275,8 @@ fn weighted_mean(values: &[f64], areas: &[f64]) -> f64 {
     values.iter().zip(areas).map(|(v, a)| v * a).sum::<f64>() / whole
 }
 
-/// A normal number for each of the parts of a pupil with these areas, with zero mean and the given RMS over the pupil.
+/// A normal number for each of the parts of a pupil with these areas, with zero mean and the given
+/// RMS over the pupil.
 fn draw_pistons(areas: &[f64], rms: f64, normal: &mut dyn FnMut() -> f64) -> Vec<f64> {
     let mut values: Vec<f64> = areas.iter().map(|_| normal()).collect();
     let centre = weighted_mean(&values, areas);

@@ -1,19 +1,23 @@
-//! Anderson acceleration, of depth one, of the iterations of the static estimate, and the fraction that each recovers.
+//! Anderson acceleration, of depth one, of the iterations of the static estimate, and the fraction
+//! that each recovers.
 //!
-//! MAP retrieval takes a part of any static wavefront that it is not given for chance, and returns a fraction a of the remainder:
-//! `output = input + a·(truth − input) + error`. Plain iterations approach the truth as a geometric series, which two of them
-//! determine; at its end the error has grown to error/a.
+//! MAP retrieval takes a part of any static wavefront that it is not given for chance, and returns
+//! a fraction a of the remainder: `output = input + a·(truth − input) + error`. Plain iterations
+//! approach the truth as a geometric series, which two of them determine; at its end the error has
+//! grown to error/a.
 
 use ndarray::{Array1, s};
 use std::ops::Range;
 
-/// Largest extrapolation beyond an output, in steps from the last output: beyond three times the step the series is not geometric.
+/// Largest extrapolation beyond an output, in steps from the last output: beyond three times the
+/// step the series is not geometric.
 const MAX_EXTRAPOLATION: f64 = 2.0;
 
 /// Least recovered fraction: less would be a step without effect.
 const MIN_RECOVERED: f64 = 0.2;
 
-/// An iteration: static coefficients about which wavefronts are retrieved, and those estimated from them, pistons and NCPA, nm.
+/// An iteration: static coefficients about which wavefronts are retrieved, and those estimated from
+/// them, pistons and NCPA, nm.
 struct Step {
     input: Array1<f64>,
     output: Array1<f64>,
@@ -62,8 +66,9 @@ impl AndersonAcceleration {
         next
     }
 
-    /// Estimates the fraction a that an iteration recovers, among the coefficients `range`; 1 after one iteration. The images are
-    /// the same in all of them, so their errors cancel in the differences.
+    /// Estimates the fraction a that an iteration recovers, among the coefficients `range`; 1 after
+    /// one iteration. The images are the same in all of them, so their errors cancel in the
+    /// differences.
     pub(super) fn recovered_fraction(&self, range: Range<usize>) -> f64 {
         let (mut kept, mut moved) = (0.0, 0.0);
         for pair in self.steps.windows(2) {

@@ -1,25 +1,31 @@
-//! Figure that all segments have in common (scalloping), an unknown of the estimate where segments have tips and tilts.
+//! Figure that all segments have in common (scalloping), an unknown of the estimate where segments
+//! have tips and tilts.
 //!
-//! Pistons, tips and tilts that follow a paraboloid (the focus mode of a segmented mirror, and its astigmatisms) differ from it by a
-//! curvature within each segment, the same in all. The loop removes the paraboloid. What remains in the wavefront is this curvature alone,
-//! 0.02 nm for 1 nm of a paraboloid over Keck's segments, and images cannot distinguish it from a figure error that all segments have. If the
-//! model has no figure, half a nanometre of it, or an error of the mean wavefront of the same shape, becomes 25 nm of pistons and tilts.
+//! Pistons, tips and tilts that follow a paraboloid (the focus mode of a segmented mirror, and its
+//! astigmatisms) differ from it by a curvature within each segment, the same in all. The loop
+//! removes the paraboloid. What remains in the wavefront is this curvature alone, 0.02 nm for 1 nm
+//! of a paraboloid over Keck's segments, and images cannot distinguish it from a figure error that
+//! all segments have. If the model has no figure, half a nanometre of it, or an error of the mean
+//! wavefront of the same shape, becomes 25 nm of pistons and tilts.
 
 use crate::Result;
 use crate::linear_algebra::SpdInverse;
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 
-/// Prior RMS of each of the three figures over the pupil, nm: twice the error of the mean wavefront that four simulated nights with ideal
-/// segments showed in these shapes. On Keck it corresponds to 50 nm of a paraboloid, several times what pistons of 64 nm and tilts of 20 nm
-/// contain of one, so that a larger prior changes no estimate.
+/// Prior RMS of each of the three figures over the pupil, nm: twice the error of the mean wavefront
+/// that four simulated nights with ideal segments showed in these shapes. On Keck it corresponds to
+/// 50 nm of a paraboloid, several times what pistons of 64 nm and tilts of 20 nm contain of one, so
+/// that a larger prior changes no estimate.
 pub(super) const COMMON_FIGURE_RMS_NM: f64 = 1.0;
 
-/// Wavefronts, `[figure, sample]`, of 1 nm RMS of each figure behind the loop: focus and two astigmatisms of every segment.
-/// `segments` are the wavefronts of pistons, tips and tilts without the loop's response, `columns` those with it, `[mode, sample]`; both are
-/// the same where the loop is not known.
+/// Wavefronts, `[figure, sample]`, of 1 nm RMS of each figure behind the loop: focus and two
+/// astigmatisms of every segment. `segments` are the wavefronts of pistons, tips and tilts without
+/// the loop's response, `columns` those with it, `[mode, sample]`; both are the same where the loop
+/// is not known.
 ///
-/// The loop's response to a figure is minus that to the pistons and tilts of its paraboloid, but for what it leaves of the paraboloid itself.
+/// The loop's response to a figure is minus that to the pistons and tilts of its paraboloid, but
+/// for what it leaves of the paraboloid itself.
 ///
 /// # Errors
 /// Where the equations cannot be solved.
@@ -68,7 +74,8 @@ mod tests {
             // Neither piston nor tilt of any segment, to the regularisation of faint segments.
             assert!(segments.rows().into_iter().all(|segment| dot(segment, figure).abs() < 1e-6));
         }
-        // Behind a loop that takes out half of each segment mode, less than of the figure, which has pistons and tilts of its paraboloid.
+        // Behind a loop that takes out half of each segment mode, less than of the figure, which
+        // has pistons and tilts of its paraboloid.
         let half = common_figures(segments.view(), (&segments * 0.5).view(), &samples).unwrap();
         assert!(
             half.rows().into_iter().zip(figures.rows()).all(|(half, figure)| (dot(half, figure) - 1.0).abs() < 1e-6)

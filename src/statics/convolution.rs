@@ -1,7 +1,7 @@
 //! Convolutions of maps over the illuminated samples, by FFT on a grid padded for every lag.
 //!
-//! A map fills the first half of the rows, so the other half is transformed neither forward nor back, and the spectrum stays
-//! transposed, `[kx, ky]`, which saves two transpositions of four.
+//! A map fills the first half of the rows, so the other half is transformed neither forward nor
+//! back, and the spectrum stays transposed, `[kx, ky]`, which saves two transpositions of four.
 
 use crate::fourier::{fast_side, transpose};
 use crate::retrieval::IlluminatedSamples;
@@ -65,7 +65,8 @@ impl<T: FftReal> Convolver<T> {
         self.forward.process_with_scratch(&mut buffers.transposed, &mut buffers.scratch);
     }
 
-    /// Multiplies the spectrum of a map by `gain`, `[kx, ky]`; returns the illuminated samples, not normalised.
+    /// Multiplies the spectrum of a map by `gain`, `[kx, ky]`; returns the illuminated samples, not
+    /// normalised.
     pub(super) fn filtered<'r>(
         &'r self,
         map: impl Iterator<Item = Complex<T>>,

@@ -1,4 +1,5 @@
-//! Covariance of the residual wavefront: stationary, so a power spectrum on a grid padded for every lag.
+//! Covariance of the residual wavefront: stationary, so a power spectrum on a grid padded for every
+//! lag.
 
 use super::convolution::Convolver;
 use crate::fourier::transform_square;
@@ -28,10 +29,12 @@ pub struct ResidualCovariance {
 }
 
 impl ResidualCovariance {
-    /// Estimates the covariance from `residuals_nm`, `[image, sample]`, each about the mean of all images.
+    /// Estimates the covariance from `residuals_nm`, `[image, sample]`, each about the mean of all
+    /// images.
     ///
-    /// It is the autocorrelation over all pairs of samples and all images, tapered to 0 at the width of the pupil. Negative
-    /// eigenvalues, which come from the taper and from chance alone, are set to 0.
+    /// It is the autocorrelation over all pairs of samples and all images, tapered to 0 at the
+    /// width of the pupil. Negative eigenvalues, which come from the taper and from chance alone,
+    /// are set to 0.
     ///
     /// # Errors
     /// [`Error::Value`] for fewer than two images, [`Error::Shape`] for another number of samples.
@@ -71,9 +74,9 @@ impl ResidualCovariance {
 
     /// Raises this covariance to no less than the power spectral density `psd` at any frequency.
     ///
-    /// MAP retrieval shrinks poorly resolved frequencies. Retrieved wavefronts scatter less there than the turbulence, but they
-    /// hold less of static errors too, and a covariance as small as their scatter would give these very frequencies the most
-    /// weight.
+    /// MAP retrieval shrinks poorly resolved frequencies. Retrieved wavefronts scatter less there
+    /// than the turbulence, but they hold less of static errors too, and a covariance as small as
+    /// their scatter would give these very frequencies the most weight.
     pub fn with_lower_bound(mut self, psd: &RadialPsd, pitch_m: f64) -> Self {
         for (at, value) in self.spectrum_nm2.iter_mut().enumerate() {
             let least = psd.density_nm2_m2_at(frequency_per_m(at, self.padded, pitch_m)) / (pitch_m * pitch_m);
@@ -84,9 +87,11 @@ impl ResidualCovariance {
 
     /// Sets this covariance to unknown beyond `highest_frequency_per_m`.
     ///
-    /// MAP retrieval leaves frequencies that the image does not resolve as they are in the static wavefront about which it starts.
-    /// Edges of segments exceed turbulence the more, the higher the frequency, so an estimate that trusted these frequencies would
-    /// rest on absent information: each iteration would recover half of the remaining pistons, and errors would double.
+    /// MAP retrieval leaves frequencies that the image does not resolve as they are in the static
+    /// wavefront about which it starts. Edges of segments exceed turbulence the more, the higher
+    /// the frequency, so an estimate that trusted these frequencies would rest on absent
+    /// information: each iteration would recover half of the remaining pistons, and errors would
+    /// double.
     pub fn with_unresolved_beyond(mut self, highest_frequency_per_m: f64, pitch_m: f64) -> Self {
         for (at, is_unresolved) in self.is_unresolved.iter_mut().enumerate() {
             *is_unresolved = frequency_per_m(at, self.padded, pitch_m) > highest_frequency_per_m;
@@ -118,8 +123,8 @@ fn reach_m(samples: &IlluminatedSamples) -> f64 {
 /// Autocorrelation: Σ over maps, `[map, sample]`, and over pairs of samples at each lag, `[x, y]`.
 fn autocorrelation(convolver: &Convolver<f64>, maps: ArrayView2<f64>) -> Vec<f64> {
     let n2 = convolver.padded * convolver.padded;
-    // Two maps are the real and the imaginary part of one: their cross terms are odd in frequency, so the real part of the
-    // transform has none of them.
+    // Two maps are the real and the imaginary part of one: their cross terms are odd in frequency,
+    // so the real part of the transform has none of them.
     let power_of = |maps: ArrayView2<f64>| {
         let (mut power, mut buffers) = (vec![0.0; n2], convolver.buffers());
         for pair in maps.axis_chunks_iter(Axis(0), 2) {

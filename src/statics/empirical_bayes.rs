@@ -1,9 +1,10 @@
-//! Empirical Bayes: prior variances (hyperparameters) of groups of coefficients at which the marginal likelihood of the data is
-//! greatest.
+//! Empirical Bayes: prior variances (hyperparameters) of groups of coefficients at which the
+//! marginal likelihood of the data is greatest.
 //!
-//! With `y = A·x + t`, t of covariance C and x of independent normal coefficients whose prior variance λ is common to a group, the
-//! marginal likelihood p(y | λ) depends on the data through `F = Aᵀ·C⁻¹·A` and `b = Aᵀ·C⁻¹·y` alone. It is maximised by
-//! expectation-maximisation: λ of a group becomes the mean of x̂² + V over its modes. A group without support in the data falls to
+//! With `y = A·x + t`, t of covariance C and x of independent normal coefficients whose prior
+//! variance λ is common to a group, the marginal likelihood p(y | λ) depends on the data through
+//! `F = Aᵀ·C⁻¹·A` and `b = Aᵀ·C⁻¹·y` alone. It is maximised by expectation-maximisation: λ of a
+//! group becomes the mean of x̂² + V over its modes. A group without support in the data falls to
 //! 0, and its modes then add no error to the others.
 
 use crate::Result;
@@ -41,13 +42,15 @@ pub struct Posterior {
 }
 
 impl Posterior {
-    /// Widens the prior of the first `count` coefficients for the errors of a previous correction by an estimate like this one.
+    /// Widens the prior of the first `count` coefficients for the errors of a previous correction
+    /// by an estimate like this one.
     ///
-    /// With `F` the information on these coefficients with all others marginalised, an estimate with a prior of `uncorrected_nm`
-    /// leaves errors of covariance `E = (F + 1/uncorrected²)⁻¹`, so the prior becomes `prior_rms² + E`. The errors lie along the
-    /// directions that the data constrain least, where the common variance, constrained by the other directions, would shrink the
-    /// estimate and its error bars too much. A prior far above the errors changes nothing; with a prior of 0 the estimate is half
-    /// of the data's.
+    /// With `F` the information on these coefficients with all others marginalised, an estimate
+    /// with a prior of `uncorrected_nm` leaves errors of covariance `E = (F + 1/uncorrected²)⁻¹`,
+    /// so the prior becomes `prior_rms² + E`. The errors lie along the directions that the data
+    /// constrain least, where the common variance, constrained by the other directions, would
+    /// shrink the estimate and its error bars too much. A prior far above the errors changes
+    /// nothing; with a prior of 0 the estimate is half of the data's.
     ///
     /// # Errors
     /// Where the equations cannot be solved.
@@ -86,8 +89,8 @@ impl Posterior {
     }
 }
 
-/// Maximises the marginal likelihood over the variances of `groups` (which hold every column), from the information F, nm⁻², and
-/// the right side b, nm⁻¹.
+/// Maximises the marginal likelihood over the variances of `groups` (which hold every column), from
+/// the information F, nm⁻², and the right side b, nm⁻¹.
 ///
 /// # Errors
 /// Where the equations cannot be solved.
@@ -114,7 +117,8 @@ pub fn maximise_marginal_likelihood(
     unreachable!("the loop ends at its last step")
 }
 
-/// Computes the posterior at given variances. With σ = √λ the matrix is `1 + σ·F·σ`, whose eigenvalues are 1 or more.
+/// Computes the posterior at given variances. With σ = √λ the matrix is `1 + σ·F·σ`, whose
+/// eigenvalues are 1 or more.
 fn posterior(
     information: &Array2<f64>,
     b: &Array1<f64>,
@@ -145,19 +149,21 @@ mod tests {
 
     #[test]
     fn a_group_without_support_in_the_data_falls_to_zero() {
-        // Ten coefficients measured with an error of 1 nm each: five of about 20 nm, five that are only their errors.
+        // Ten coefficients measured with an error of 1 nm each: five of about 20 nm, five that are
+        // only their errors.
         let measured_nm = [21.0, -18.0, 25.0, -22.0, 15.0, 0.9, -0.7, 0.4, -1.1, 0.2];
         let (information, b) = (Array2::eye(10), Array1::from(measured_nm.to_vec()));
         let found = maximise_marginal_likelihood(&information, &b, &[group(0..5), group(5..10)]).unwrap();
         let rms = |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
-        // The variance of the greatest marginal likelihood is the measured one less that of the error.
+        // The variance of the greatest marginal likelihood is the measured one less that of the
+        // error.
         assert!(
             (found.prior_rms_nm[0] - (rms(&measured_nm[..5]).powi(2) - 1.0).sqrt()).abs() < 0.1,
             "{:?}",
             found.prior_rms_nm
         );
-        // The second group has 0.74 nm RMS where errors alone have 1: the best variance is 0, which the steps approach ever more
-        // slowly; they end where one gains less than 0.01.
+        // The second group has 0.74 nm RMS where errors alone have 1: the best variance is 0, which
+        // the steps approach ever more slowly; they end where one gains less than 0.01.
         assert!(found.prior_rms_nm[1] < 0.5, "{:?}", found.prior_rms_nm);
         assert!(rms(&found.coefficients_nm.to_vec()[5..]) < 0.1);
         // With its prior the error bar of an absent coefficient is smaller than the data's.
@@ -194,7 +200,8 @@ mod tests {
         // Rounding of two by two systems of order 1.
         assert!((&found.coefficients_nm - &expected.coefficients_nm).iter().all(|nm| nm.abs() < 1e-12), "{found:?}");
         assert!((&found.covariance_nm2 - &expected.covariance_nm2).iter().all(|nm2| nm2.abs() < 1e-12), "{found:?}");
-        // A prior far above the errors is unchanged: 1/(1 + 1/f·λ) of the data, to the square of that.
+        // A prior far above the errors is unchanged: 1/(1 + 1/f·λ) of the data, to the square of
+        // that.
         let (strong, wider) = (at([1e6, 7.0]), at([1e6, 7.0]).with_previous_correction(1, 1e3, 30.0).unwrap());
         assert!((&strong.coefficients_nm - &wider.coefficients_nm).iter().all(|nm| nm.abs() < 1e-9));
     }
@@ -222,7 +229,8 @@ mod tests {
             }
         }
         let [plain, wider] = pulls.map(f64::sqrt);
-        // Some ten directions make most of it, sixty times: to 1/√1200 = 3 %. The prior variance widens by up to a tenth.
+        // Some ten directions make most of it, sixty times: to 1/√1200 = 3 %. The prior variance
+        // widens by up to a tenth.
         assert!((0.8..1.1).contains(&wider) && plain > 1.5, "{plain} {wider}");
     }
 }

@@ -1,4 +1,5 @@
-//! Error budget of static errors: expected RMS errors of phasing and NCPA, as terms whose squares add up to the total's.
+//! Error budget of static errors: expected RMS errors of phasing and NCPA, as terms whose squares
+//! add up to the total's.
 
 /// Source of an expected error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -7,12 +8,15 @@ pub(crate) enum ErrorSource {
     NoiseAndTurbulence,
     /// Error of the diversity (`estimate.diversity_error`), common to all images.
     DiversityError,
-    /// Response of a loop that is not known to the pistons, which counts as NCPA; 0 where the loop is known.
+    /// Response of a loop that is not known to the pistons, which counts as NCPA; 0 where the loop
+    /// is known.
     UnknownLoopResponse,
-    /// NCPA beyond the finest modes, extrapolated from the variance of the coarser ones; 0 where they do not extend beyond.
+    /// NCPA beyond the finest modes, extrapolated from the variance of the coarser ones; 0 where
+    /// they do not extend beyond.
     NcpaBeyondModes,
-    /// Shapes of segments with tips and tilts that follow a smooth surface, which the loop compensates: an error of the prior, in no
-    /// wavefront behind the loop. 0 where segments have pistons alone, whose edges show, and where the loop is not known.
+    /// Shapes of segments with tips and tilts that follow a smooth surface, which the loop
+    /// compensates: an error of the prior, in no wavefront behind the loop. 0 where segments have
+    /// pistons alone, whose edges show, and where the loop is not known.
     CompensatedSegments,
 }
 
@@ -29,8 +33,8 @@ impl ErrorSource {
     }
 }
 
-/// One contribution to the error bars, RMS over the pupil with piston, tip and tilt removed. The squares of all terms of
-/// an estimate add up to the square of its error bar.
+/// One contribution to the error bars, RMS over the pupil with piston, tip and tilt removed. The
+/// squares of all terms of an estimate add up to the square of its error bar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ErrorTerm {
     /// What contributes: `noise`, `scatter between images`, `diversity`, …
@@ -46,13 +50,15 @@ pub struct ErrorTerm {
 pub struct ErrorBudget {
     /// Expected RMS error over the pupil, phasing and NCPA, piston, tip and tilt removed, nm.
     pub total_nm: [f64; 2],
-    /// One term for each source, 0 where it does not contribute; for either group the squares add up to the total's, to rounding.
+    /// One term for each source, 0 where it does not contribute; for either group the squares add
+    /// up to the total's, to rounding.
     pub terms: Vec<ErrorTerm>,
 }
 
 impl ErrorBudget {
-    /// From the totals without NCPA beyond the modes, the part that averages over the images, and the NCPA's other terms. The rest of
-    /// the phasing's total is of segments that the loop compensates.
+    /// From the totals without NCPA beyond the modes, the part that averages over the images, and
+    /// the NCPA's other terms. The rest of the phasing's total is of segments that the loop
+    /// compensates.
     pub(super) fn new(
         total_nm: [f64; 2],
         [phasing_nm, ncpa_nm]: [f64; 2],
@@ -83,7 +89,8 @@ impl ErrorBudget {
         self.term_nm(ErrorSource::NoiseAndTurbulence)
     }
 
-    /// Part of phasing and NCPA that iterations change: what averages over the images, and segments that the loop compensates, nm.
+    /// Part of phasing and NCPA that iterations change: what averages over the images, and segments
+    /// that the loop compensates, nm.
     pub(super) fn iterated_nm(&self) -> [f64; 2] {
         let [phasing_nm, ncpa_nm] = self.averaged_nm();
         [phasing_nm.hypot(self.term_nm(ErrorSource::CompensatedSegments)[0]), ncpa_nm]

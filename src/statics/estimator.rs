@@ -1,5 +1,5 @@
-//! Estimator of the static errors of one iteration: the linear model, iterated over the nonlinear responses of the closed loop and
-//! of the wavefront sensor.
+//! Estimator of the static errors of one iteration: the linear model, iterated over the nonlinear
+//! responses of the closed loop and of the wavefront sensor.
 
 use super::common_figure::common_figures;
 use super::covariance::ResidualCovariance;
@@ -27,18 +27,19 @@ use rayon::prelude::*;
 /// Amplitude below which a sample is left out: images hold little information on its phase.
 const MIN_AMPLITUDE: f64 = 0.5;
 
-/// Most simulations of the closed loop in an estimate: its nonlinear part is a tenth of the linear one, and each reduces the
-/// remaining error by that factor.
+/// Most simulations of the closed loop in an estimate: its nonlinear part is a tenth of the linear
+/// one, and each reduces the remaining error by that factor.
 const MAX_LOOP_SIMULATIONS: usize = 8;
 /// Change of the segment modes below which the loop response is converged, nm.
 const LOOP_TOLERANCE_NM: f64 = 0.05;
 
-/// Distance ([`MeanCovariance::distance`]) of the covariance of the mean wavefront from that of an earlier iteration below which the earlier
-/// one's weights serve: they add 0.3 % to the variance of the estimate at most, and change error bars by 2.5 % at most.
+/// Distance ([`MeanCovariance::distance`]) of the covariance of the mean wavefront from that of an
+/// earlier iteration below which the earlier one's weights serve: they add 0.3 % to the variance of
+/// the estimate at most, and change error bars by 2.5 % at most.
 const SAME_COVARIANCE: f64 = 0.05;
 
-/// Most comparisons of wavefronts with slopes in an estimate: a quad cell is nonlinear, and each removes nine tenths of the
-/// remaining error.
+/// Most comparisons of wavefronts with slopes in an estimate: a quad cell is nonlinear, and each
+/// removes nine tenths of the remaining error.
 const MAX_SLOPE_COMPARISONS: usize = 6;
 /// Change of the NCPA below which the comparisons are converged, nm RMS.
 const SLOPE_TOLERANCE_NM: f64 = 0.2;
@@ -51,11 +52,13 @@ pub(super) struct StaticsEstimator<'a> {
     /// Indices of the samples that are used.
     pub(super) kept: Vec<usize>,
     pub(super) samples: IlluminatedSamples,
-    /// Where the tip and the tilt of each segment are 0; none where a segment is too small for tilts.
+    /// Where the tip and the tilt of each segment are 0; none where a segment is too small for
+    /// tilts.
     frames: Option<Vec<TiltFrame>>,
     /// Modes of the segments that are estimated.
     segment_modes: SegmentModes,
-    /// Their wavefronts without the loop's response, at the samples that are used, `[mode, sample]`.
+    /// Their wavefronts without the loop's response, at the samples that are used,
+    /// `[mode, sample]`.
     segments_at_kept: Array2<f64>,
     loop_response: Option<SampledLoopResponse>,
     sample_error_nm: f64,
@@ -111,7 +114,8 @@ impl<'a> StaticsEstimator<'a> {
         self.segment_modes == SegmentModes::PistonTipTilt
     }
 
-    /// Adds tips and tilts of the segments to the modes that are estimated, with the loop's response to them.
+    /// Adds tips and tilts of the segments to the modes that are estimated, with the loop's
+    /// response to them.
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a segment that is too small for tilts; those of the loop.
@@ -123,8 +127,8 @@ impl<'a> StaticsEstimator<'a> {
         self.loop_response.as_mut().map_or(Ok(()), |response| response.extend_to(self.segments_at_kept.nrows()))
     }
 
-    /// Seeks tilts of single segments in the residual of the mean of `images` wavefronts, nm at each sample; `None` where a segment is
-    /// too small for tilts.
+    /// Seeks tilts of single segments in the residual of the mean of `images` wavefronts, nm at
+    /// each sample; `None` where a segment is too small for tilts.
     pub(super) fn tilts_in_residual(
         &self,
         residual_nm: ArrayView1<f64>,
@@ -136,7 +140,8 @@ impl<'a> StaticsEstimator<'a> {
         SegmentTilts::estimate(residual_nm, tilts.view(), &covariance, &self.samples).map(Some)
     }
 
-    /// Wavefronts of the segment modes with the loop's response to them, at the samples that are used, `[mode, sample]`.
+    /// Wavefronts of the segment modes with the loop's response to them, at the samples that are
+    /// used, `[mode, sample]`.
     fn segment_columns(&self) -> Array2<f64> {
         match &self.loop_response {
             Some(response) => response.added_to(self.segments_at_kept.clone()),
@@ -144,8 +149,8 @@ impl<'a> StaticsEstimator<'a> {
         }
     }
 
-    /// Expected error of the segments that the loop leaves in the wavefront, nm RMS; `None` where segments have no tilts, or the loop is not
-    /// known.
+    /// Expected error of the segments that the loop leaves in the wavefront, nm RMS; `None` where
+    /// segments have no tilts, or the loop is not known.
     pub(super) fn uncompensated_nm(&self, errors: &StaticErrors) -> Option<f64> {
         let modes = errors.segment_modes();
         let covariance_nm2 = errors.covariance_nm2.slice(s![..modes, ..modes]);
@@ -170,8 +175,9 @@ impl<'a> StaticsEstimator<'a> {
         MeanCovariance::new(residual, images, self.sample_error_nm, &self.samples).stopped_by(self.control)
     }
 
-    /// Estimates the static errors of the selected images' wavefronts, of covariance `residual`, and of the slopes measured during
-    /// each exposure (`[image, slope]`, mas, NaN where there is no telemetry; of two images at least).
+    /// Estimates the static errors of the selected images' wavefronts, of covariance `residual`,
+    /// and of the slopes measured during each exposure (`[image, slope]`, mas, NaN where there is
+    /// no telemetry; of two images at least).
     pub(super) fn estimate(
         &mut self,
         modes: &StaticModes,
@@ -222,7 +228,8 @@ impl<'a> StaticsEstimator<'a> {
         StaticModel::new(segments, (modes.at_kept.view(), figures.view()), (&modes.groups[..], has_slopes), covariance)
     }
 
-    /// Compares the wavefronts with the slopes until the NCPA change no more, from `last`, the errors of the iteration before.
+    /// Compares the wavefronts with the slopes until the NCPA change no more, from `last`, the
+    /// errors of the iteration before.
     fn estimate_with_slopes(
         &mut self,
         (model, sensor): (&mut StaticModel, &mut SensorModel),
@@ -258,8 +265,8 @@ impl<'a> StaticsEstimator<'a> {
         Ok(errors)
     }
 
-    /// Estimates the static errors of a mean wavefront, with the loop's response to them simulated until it is converged, with these
-    /// slopes and from these errors.
+    /// Estimates the static errors of a mean wavefront, with the loop's response to them simulated
+    /// until it is converged, with these slopes and from these errors.
     fn estimate_with_loop(
         &mut self,
         model: &mut StaticModel,
@@ -287,7 +294,8 @@ impl<'a> StaticsEstimator<'a> {
         Ok(errors)
     }
 
-    /// The static wavefront of `coefficients_nm` (segment modes and NCPA) and of the common-path part of `errors`.
+    /// The static wavefront of `coefficients_nm` (segment modes and NCPA) and of the common-path
+    /// part of `errors`.
     pub(super) fn static_wavefront(
         &mut self,
         modes: &StaticModes,
@@ -299,8 +307,8 @@ impl<'a> StaticsEstimator<'a> {
         let common_path_nm = ArrayView1::from(&errors.common_path_nm);
         let mut smooth_nm = combination((&ncpa + &common_path_nm).view(), modes.at_all.view());
         if let Some(frames) = self.frames.as_ref().filter(|_| !tilts_nm.is_empty()) {
-            // The retrieval's model has pistons, so that it may fit reflectivities and costs no more: tilts are a wavefront at its
-            // samples, the one that the linear model has.
+            // The retrieval's model has pistons, so that it may fit reflectivities and costs no
+            // more: tilts are a wavefront at its samples, the one that the linear model has.
             smooth_nm += &combination(tilts_nm, self.all_samples.tilts(frames).view());
         }
         if let Some(response) = &mut self.loop_response {
@@ -321,7 +329,8 @@ fn joined(first: ArrayView2<f64>, second: ArrayView2<f64>) -> Result<Array2<f64>
     concatenate(Axis(0), &[first, second]).map_err(|error| Error::Internal(format!("modes of uneven length: {error}")))
 }
 
-/// Closed-loop response at the samples that are used: linear · segments + offset, and the rest by simulation.
+/// Closed-loop response at the samples that are used: linear · segments + offset, and the rest by
+/// simulation.
 struct SampledLoopResponse {
     closed_loop: ClosedLoopResponse,
     kept: Vec<usize>,
@@ -367,7 +376,8 @@ impl SampledLoopResponse {
         self.closed_loop.wavefront_nm(commands_nm).select(Axis(0), &self.kept)
     }
 
-    /// Wavefronts `segments` of the segment modes, `[mode, sample]`, with the linear part of the response to them.
+    /// Wavefronts `segments` of the segment modes, `[mode, sample]`, with the linear part of the
+    /// response to them.
     fn added_to(&self, mut segments: Array2<f64>) -> Array2<f64> {
         let rows = segments.axis_iter_mut(Axis(0)).into_par_iter();
         rows.zip(self.linear_commands.axis_iter(Axis(0)))

@@ -1,11 +1,13 @@
-//! Selection of the images of a sequence by χ², with the mean and the residuals of their wavefronts.
+//! Selection of the images of a sequence by χ², with the mean and the residuals of their
+//! wavefronts.
 
 use super::wavefront_source::RetrievedSequence;
 use crate::statistics::{NORMAL_MEDIAN_DEVIATION, upper_median};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis};
 
-/// Deviation of χ² above the median at which an image is rejected, in standard deviations, from the median absolute deviation.
+/// Deviation of χ² above the median at which an image is rejected, in standard deviations, from the
+/// median absolute deviation.
 const MAX_DEVIATION: f64 = 5.0;
 
 /// Selected images, the mean of their wavefronts, and the residual of each about it.
@@ -18,7 +20,8 @@ pub(super) struct SelectedImages {
 }
 
 impl SelectedImages {
-    /// Selects images of `sequence` and takes the samples `kept` of their wavefronts, each without its mean.
+    /// Selects images of `sequence` and takes the samples `kept` of their wavefronts, each without
+    /// its mean.
     ///
     /// # Errors
     /// [`Error::Image`] for fewer than two usable images.

@@ -1,5 +1,5 @@
-//! Iterations of the static estimate: wavefronts about the last static wavefront, static errors from them, until the change is
-//! small.
+//! Iterations of the static estimate: wavefronts about the last static wavefront, static errors
+//! from them, until the change is small.
 
 use super::anderson::AndersonAcceleration;
 use super::covariance::ResidualCovariance;
@@ -18,19 +18,20 @@ use crate::scene::{AoKnowledge, System};
 use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1, Axis};
 
-/// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend beyond the basis, nm: noise and
-/// turbulence leave 0.1 to 0.3.
+/// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend
+/// beyond the basis, nm: noise and turbulence leave 0.1 to 0.3.
 const EXTENDS_BEYOND_NM: f64 = 0.5;
 
-/// Largest part of the estimated NCPA that a finer basis may leave out, as a fraction of the RMS that is extrapolated beyond the coarser
-/// one: a half, because the extrapolation can be twice too large. Modes of a mirror with few actuators do not hold the lowest polynomials.
+/// Largest part of the estimated NCPA that a finer basis may leave out, as a fraction of the RMS
+/// that is extrapolated beyond the coarser one: a half, because the extrapolation can be twice too
+/// large. Modes of a mirror with few actuators do not hold the lowest polynomials.
 const LARGEST_LEFT_OUT: f64 = 0.5;
 
 /// Estimates static errors iteratively; returns all iterations, of which the last is the estimate.
 ///
 /// # Errors
-/// Those of the source, of the telescope and of the loop; [`Error::Image`] where fewer than two images can be used;
-/// [`Error::Interrupted`].
+/// Those of the source, of the telescope and of the loop; [`Error::Image`] where fewer than two
+/// images can be used; [`Error::Interrupted`].
 pub fn estimate_static_errors(
     scene: &System,
     source: &mut dyn WavefrontSource,
@@ -120,7 +121,8 @@ impl<'a> IterativeEstimate<'a> {
         self.settings.ao_knowledge >= AoKnowledge::Telemetry
     }
 
-    /// Makes an iteration from the wavefronts of `sequence`; returns the static wavefront of the next one.
+    /// Makes an iteration from the wavefronts of `sequence`; returns the static wavefront of the
+    /// next one.
     fn iterate(&mut self, sequence: &RetrievedSequence, source: &dyn WavefrontSource) -> Result<StaticWavefront> {
         let images = SelectedImages::new(sequence, &self.estimator.kept)?;
         let residual = self.residual_covariance(&images, source)?;
@@ -131,9 +133,10 @@ impl<'a> IterativeEstimate<'a> {
         let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
         self.input = self.acceleration.input().cloned();
         self.acceleration.record(errors.coefficients_nm());
-        // Segments are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
-        // their mean they scatter by a·S, and after all iterations by a·S/a² = S/a, where the estimate assumes S. NCPA are weighted
-        // by their own scatter, which grows to 1/a² of itself.
+        // Segments are weighted by the power spectrum S of the whole residual, of which wavefronts
+        // recover the fraction a: about their mean they scatter by a·S, and after all iterations by
+        // a·S/a² = S/a, where the estimate assumes S. NCPA are weighted by their own scatter, which
+        // grows to 1/a² of itself.
         let segment_modes = errors.segment_modes();
         let segments = self.acceleration.recovered_fraction(0..segment_modes).sqrt();
         let ncpa = self.acceleration.recovered_fraction(segment_modes..usize::MAX);
@@ -149,8 +152,8 @@ impl<'a> IterativeEstimate<'a> {
         Ok(about)
     }
 
-    /// Covariance of the residuals of the selected images: no less than the prior, by which retrieved wavefronts are shrunk, and
-    /// unknown beyond the frequencies that they resolve.
+    /// Covariance of the residuals of the selected images: no less than the prior, by which
+    /// retrieved wavefronts are shrunk, and unknown beyond the frequencies that they resolve.
     fn residual_covariance(&self, images: &SelectedImages, source: &dyn WavefrontSource) -> Result<ResidualCovariance> {
         let samples = &self.estimator.samples;
         let mut residual = ResidualCovariance::from_residuals(samples, images.residuals_nm.view())?;
@@ -160,7 +163,8 @@ impl<'a> IterativeEstimate<'a> {
         Ok(residual.with_unresolved_beyond(source.highest_frequency_per_m(), samples.pitch_m))
     }
 
-    /// Whether the last iteration changed little; the first one in a basis has no change to compare.
+    /// Whether the last iteration changed little; the first one in a basis has no change to
+    /// compare.
     fn is_settled(&self) -> bool {
         let is_small = |last: &Iteration| {
             !last.change_nm.iter().any(|nm| nm.is_nan()) && !last.has_changed(self.settings.tolerance)
@@ -168,15 +172,17 @@ impl<'a> IterativeEstimate<'a> {
         self.iterations.last().is_some_and(is_small)
     }
 
-    /// Whether further iterations are to be made: the last one has changed much, or another basis is taken.
+    /// Whether further iterations are to be made: the last one has changed much, or another basis
+    /// is taken.
     fn needs_iteration(&mut self) -> Result<bool> {
         let is_unsettled = !self.is_settled() && self.iterations.len() < self.max_iterations;
         Ok(self.take_finer_basis()? || is_unsettled)
     }
 
-    /// Seeks tilts of single segments in the residual of the last iteration, where they are not estimated; returns whether it is to be
-    /// made again with them. They are sought at the end alone: only then is the residual that of turbulence where there are none, and
-    /// a sequence without them loses no time.
+    /// Seeks tilts of single segments in the residual of the last iteration, where they are not
+    /// estimated; returns whether it is to be made again with them. They are sought at the end
+    /// alone: only then is the residual that of turbulence where there are none, and a sequence
+    /// without them loses no time.
     fn adopt_segment_tilts(&mut self) -> Result<bool> {
         if self.estimator.has_tilts() {
             return Ok(false);
@@ -211,15 +217,15 @@ impl<'a> IterativeEstimate<'a> {
         self.estimator.tilts_in_residual(last.errors.residual_nm.view(), residual, last.used_images.len())
     }
 
-    /// Takes the next basis of the ladder where the NCPA extend beyond the current one and the next one holds more of them; returns
-    /// whether it did.
+    /// Takes the next basis of the ladder where the NCPA extend beyond the current one and the next
+    /// one holds more of them; returns whether it did.
     fn take_finer_basis(&mut self) -> Result<bool> {
         let Some(last) = self.iterations.last() else { return Ok(false) };
         let orders = self.modes.orders;
         // Without telemetry turbulence that did not average extends beyond the modes, too.
         let extends_beyond = self.has_telemetry() && last.errors.highest_groups_rms_nm(orders) > EXTENDS_BEYOND_NM;
-        // NCPA that extend beyond the coarsest basis fall slowly: they extend beyond the next, even where its highest modes show
-        // little.
+        // NCPA that extend beyond the coarsest basis fall slowly: they extend beyond the next, even
+        // where its highest modes show little.
         let is_refined = last.family != self.settings.families[0];
         let extrapolated_nm = if extends_beyond || is_refined { last.errors.extrapolated_ncpa_nm(orders) } else { 0.0 };
         self.beyond_modes_nm = extrapolated_nm.hypot(self.left_out_nm);
@@ -236,7 +242,8 @@ impl<'a> IterativeEstimate<'a> {
         Ok(false)
     }
 
-    /// Returns the iterations, with the segment tilts, the NCPA beyond the modes and the reference slopes in the last.
+    /// Returns the iterations, with the segment tilts, the NCPA beyond the modes and the reference
+    /// slopes in the last.
     fn finish(mut self) -> Result<Vec<Iteration>> {
         if self.segment_tilts.is_none() && !self.estimator.has_tilts() {
             self.segment_tilts = self.find_segment_tilts()?;

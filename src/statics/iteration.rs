@@ -1,4 +1,5 @@
-//! Iteration: the static errors estimated in one iteration, their maps, error budget and convergence.
+//! Iteration: the static errors estimated in one iteration, their maps, error budget and
+//! convergence.
 
 use super::error_budget::ErrorBudget;
 use super::ncpa_basis::{NcpaBasis, NcpaFamily};
@@ -27,8 +28,8 @@ pub struct Iteration {
     pub sigma_maps: StaticMaps,
     /// Expected residuals of both, with their terms.
     pub error_budget: ErrorBudget,
-    /// RMS change of phasing and NCPA from the static wavefront about which the wavefronts were retrieved, nm; NaN in the first
-    /// iteration and after a change of basis.
+    /// RMS change of phasing and NCPA from the static wavefront about which the wavefronts were
+    /// retrieved, nm; NaN in the first iteration and after a change of basis.
     pub change_nm: [f64; 2],
     /// Images that were used.
     pub used_images: Vec<usize>,
@@ -38,11 +39,12 @@ pub struct Iteration {
     pub residual_rms_nm: f64,
     /// Diversity in the NCPA's modes.
     pub diversity: DiversityProjection,
-    /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
-    /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
+    /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of
+    /// the last iteration only, and where it was made for tilts that are estimated since, from then
+    /// on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
-    /// Reference slopes about which the loop moves its mirror by 1 nm of each NCPA mode, `[mode, slope]`, mas; of the last iteration only, and
-    /// `None` without measured slopes.
+    /// Reference slopes about which the loop moves its mirror by 1 nm of each NCPA mode,
+    /// `[mode, slope]`, mas; of the last iteration only, and `None` without measured slopes.
     pub reference_mas_per_nm: Option<Array2<f64>>,
 }
 
@@ -66,11 +68,12 @@ impl Iteration {
         CombinedModes { coefficients_nm, covariance_nm2: self.errors.covariance_nm2.clone() }
     }
 
-    /// Computes the number of further images like these after which the expected residuals are `wanted_nm`, phasing and NCPA: the
-    /// variance of a mean falls as one over their number.
+    /// Computes the number of further images like these after which the expected residuals are
+    /// `wanted_nm`, phasing and NCPA: the variance of a mean falls as one over their number.
     ///
     /// # Errors
-    /// [`Error::Value`](crate::Error::Value) where no number suffices, because of errors common to all images.
+    /// [`Error::Value`](crate::Error::Value) where no number suffices, because of errors common to
+    /// all images.
     pub fn further_images(&self, wanted_nm: [f64; 2]) -> Result<usize> {
         let (total_nm, averaged_nm) = (self.error_budget.total_nm, self.error_budget.averaged_nm());
         let mut factor = 1.0f64;
@@ -83,8 +86,9 @@ impl Iteration {
         Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)
     }
 
-    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm` where it is given, and no piston or tilt
-    /// beyond `segment_limit_nm` where it is not: see [`Corrections::new`].
+    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm`
+    /// where it is given, and no piston or tilt beyond `segment_limit_nm` where it is not: see
+    /// [`Corrections::new`].
     ///
     /// # Errors
     /// Those of [`Corrections::new`].
@@ -112,8 +116,9 @@ impl Iteration {
         self.sigma_maps.ncpa_nm.mapv_inplace(|nm| nm.hypot(rms_nm));
     }
 
-    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the part of their error bars that iterations change:
-    /// errors common to all iterations do not show how much further ones will change.
+    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the part of
+    /// their error bars that iterations change: errors common to all iterations do not show how
+    /// much further ones will change.
     pub(crate) fn has_changed(&self, tolerance: f64) -> bool {
         let iterated_nm = self.error_budget.iterated_nm();
         (0..2).any(|i| self.change_nm[i] >= tolerance * iterated_nm[i])

@@ -1,5 +1,5 @@
-//! Generalised least squares: segment modes and NCPA from a mean wavefront, under the covariance of the mean's turbulence, with
-//! hyperparameters by empirical Bayes.
+//! Generalised least squares: segment modes and NCPA from a mean wavefront, under the covariance of
+//! the mean's turbulence, with hyperparameters by empirical Bayes.
 
 use super::common_figure::COMMON_FIGURE_RMS_NM;
 use super::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
@@ -10,28 +10,32 @@ use crate::loop_response::SlopeInformation;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
-/// Prior RMS of unidentifiable coefficients (the mean wavefront, tip and tilt), nm: more than a model's whole range.
+/// Prior RMS of unidentifiable coefficients (the mean wavefront, tip and tilt), nm: more than a
+/// model's whole range.
 const FLAT_PRIOR_NM: f64 = 1e4;
 
-/// Prior RMS of pistons before any correction, nm, for the error of nearly degenerate directions (their mean and the
-/// plane through them) after an estimate like this one was corrected.
+/// Prior RMS of pistons before any correction, nm, for the error of nearly degenerate directions
+/// (their mean and the plane through them) after an estimate like this one was corrected.
 const UNCORRECTED_NM: f64 = 30.0;
 
 /// Initial prior RMS of a group, nm.
 const INITIAL_RMS_NM: f64 = 30.0;
 
-/// Largest difference of two mean wavefronts, nm RMS, for which one correction of their scalar products serves: it changes them by
-/// as much times the tolerance of the solutions.
+/// Largest difference of two mean wavefronts, nm RMS, for which one correction of their scalar
+/// products serves: it changes them by as much times the tolerance of the solutions.
 const SAME_MEAN_NM: f64 = 0.3;
 
-/// Linear model of the mean wavefront: response to segment modes, NCPA and an offset, weighted by the inverse covariance.
+/// Linear model of the mean wavefront: response to segment modes, NCPA and an offset, weighted by
+/// the inverse covariance.
 pub struct StaticModel {
     covariance: MeanCovariance,
-    /// Number of segments, which is that of the pistons, and of segment modes: pistons, and where they are estimated tilts.
+    /// Number of segments, which is that of the pistons, and of segment modes: pistons, and where
+    /// they are estimated tilts.
     segments: usize,
     segment_modes: usize,
     ncpa: usize,
-    /// Responses to segment modes, NCPA, common figures of the segments and the offset, `[column, sample]`.
+    /// Responses to segment modes, NCPA, common figures of the segments and the offset,
+    /// `[column, sample]`.
     columns: Array2<f64>,
     /// The columns weighted by C⁻¹.
     weighted: Weighted,
@@ -44,13 +48,15 @@ pub struct StaticModel {
 }
 
 impl StaticModel {
-    /// The model of responses to the modes of `segments` segments (pistons, and where they are estimated tips and tilts), to `ncpa` and to
-    /// `figures` ([`common_figures`](super::common_figure::common_figures)), each `[mode, sample]`, on samples whose mean wavefront has
-    /// `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and
-    /// whether telemetry separates NCPA from the common path.
+    /// The model of responses to the modes of `segments` segments (pistons, and where they are
+    /// estimated tips and tilts), to `ncpa` and to `figures`
+    /// ([`common_figures`](super::common_figure::common_figures)), each `[mode, sample]`, on
+    /// samples whose mean wavefront has `covariance`; `groups` as in
+    /// [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
     ///
     /// # Errors
-    /// [`Error::Shape`] for responses or groups of different sizes; those of [`MeanCovariance::solve`].
+    /// [`Error::Shape`] for responses or groups of different sizes; those of
+    /// [`MeanCovariance::solve`].
     pub fn new(
         (segment_columns, segments): (ArrayView2<f64>, usize),
         (ncpa, figures): (ArrayView2<f64>, ArrayView2<f64>),
@@ -104,10 +110,12 @@ impl StaticModel {
 
     /// Estimates the static errors of a mean wavefront, nm at each sample.
     ///
-    /// `slopes` is the information of telemetry on the NCPA. The hyperparameters start at those of `initial`.
+    /// `slopes` is the information of telemetry on the NCPA. The hyperparameters start at those of
+    /// `initial`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of samples or of NCPA modes; those of [`MeanCovariance::solve`].
+    /// [`Error::Shape`] for another number of samples or of NCPA modes; those of
+    /// [`MeanCovariance::solve`].
     pub fn estimate(
         &mut self,
         mean_nm: ArrayView1<f64>,
@@ -124,8 +132,9 @@ impl StaticModel {
             group.variance_nm2 = nm * nm;
         }
         let posterior = maximise_marginal_likelihood(&information, &right_side, &groups)?;
-        // Tilts keep the prior that the data give them, which alone bounds shapes of many segments that the loop compensates: widened by
-        // the errors of a previous estimate too, they leave 19 nm of phasing in place of 17 (75 images, tilts of 20 nm, one draw).
+        // Tilts keep the prior that the data give them, which alone bounds shapes of many segments
+        // that the loop compensates: widened by the errors of a previous estimate too, they leave
+        // 19 nm of phasing in place of 17 (75 images, tilts of 20 nm, one draw).
         let pistons_nm = posterior.prior_rms_nm[0];
         let Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm } =
             posterior.with_previous_correction(self.segments, pistons_nm, UNCORRECTED_NM)?;
@@ -148,7 +157,8 @@ impl StaticModel {
         })
     }
 
-    /// Normal equations of the mean wavefront and of the slopes: information F, nm⁻², and right side b, nm⁻¹.
+    /// Normal equations of the mean wavefront and of the slopes: information F, nm⁻², and right
+    /// side b, nm⁻¹.
     fn normal_equations(
         &mut self,
         mean_nm: ArrayView1<f64>,
@@ -195,8 +205,9 @@ impl StaticModel {
     }
 }
 
-/// Groups of the coefficients: pistons; tilts, where there are more segment modes than segments; the groups of the NCPA, and with
-/// telemetry those of the common path; the common figures; the offset.
+/// Groups of the coefficients: pistons; tilts, where there are more segment modes than segments;
+/// the groups of the NCPA, and with telemetry those of the common path; the common figures; the
+/// offset.
 fn coefficient_groups(
     [segments, segment_modes]: [usize; 2],
     ncpa: &[usize],

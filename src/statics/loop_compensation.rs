@@ -1,13 +1,15 @@
 //! Part of the segments' error that the closed loop leaves in the wavefront.
 //!
-//! Pistons, tips and tilts that together follow a smooth surface have no edges: the mirror compensates them, and images hold next to no
-//! information on them. Their error is that of the prior, in no wavefront behind the loop, and no number of images removes it.
+//! Pistons, tips and tilts that together follow a smooth surface have no edges: the mirror
+//! compensates them, and images hold next to no information on them. Their error is that of the
+//! prior, in no wavefront behind the loop, and no number of images removes it.
 
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
-/// Expected RMS over the pupil, piston, tip and tilt removed, of the wavefront that segment modes of covariance `covariance_nm2` leave behind
-/// the loop, nm: `columns` are the modes with the loop's response to them, `[mode, sample]`.
+/// Expected RMS over the pupil, piston, tip and tilt removed, of the wavefront that segment modes
+/// of covariance `covariance_nm2` leave behind the loop, nm: `columns` are the modes with the
+/// loop's response to them, `[mode, sample]`.
 pub(super) fn uncompensated_rms_nm(
     columns: ArrayView2<f64>,
     covariance_nm2: ArrayView2<f64>,

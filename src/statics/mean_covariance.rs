@@ -1,9 +1,10 @@
 //! Covariance of the mean of images, and its inverse by preconditioned conjugate gradients.
 //!
-//! Between 9,000 samples of a pupil a dense Cholesky decomposition takes 600 MB and 10 s. A stationary covariance is a convolution:
-//! on a grid padded for every lag it is diagonal in Fourier space, and conjugate gradients preconditioned by the inverse spectrum
-//! (the exact inverse but for the pupil's edge) take two dozen iterations to four digits, for any number of samples.
-//! Scalar products of the solutions have twice as many digits: see [`Weighted`].
+//! Between 9,000 samples of a pupil a dense Cholesky decomposition takes 600 MB and 10 s. A
+//! stationary covariance is a convolution: on a grid padded for every lag it is diagonal in Fourier
+//! space, and conjugate gradients preconditioned by the inverse spectrum (the exact inverse but for
+//! the pupil's edge) take two dozen iterations to four digits, for any number of samples. Scalar
+//! products of the solutions have twice as many digits: see [`Weighted`].
 
 use super::convolution::{ConvolutionBuffers, Convolver};
 use super::covariance::ResidualCovariance;
@@ -16,13 +17,14 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 use num_complex::Complex32;
 use rayon::prelude::*;
 
-/// Error at which a column is solved, over the solution, in the norm √(v·C·v) in which the error bars of an estimate are 1: scalar products
-/// by [`Weighted`] are known to its square, which is what single precision leaves of them, those with another mean to it. The
-/// preconditioner measures it, but for a factor.
+/// Error at which a column is solved, over the solution, in the norm √(v·C·v) in which the error
+/// bars of an estimate are 1: scalar products by [`Weighted`] are known to its square, which is
+/// what single precision leaves of them, those with another mean to it. The preconditioner measures
+/// it, but for a factor.
 const TOLERANCE: f64 = 1e-3;
 
-/// Prior RMS of a sample of the mean wavefront at frequencies that images do not resolve, nm: more than turbulence and static
-/// errors have there together.
+/// Prior RMS of a sample of the mean wavefront at frequencies that images do not resolve, nm: more
+/// than turbulence and static errors have there together.
 const UNRESOLVED_NM: f64 = 50.0;
 
 /// Rows of scalar products that a thread computes at once.
@@ -35,7 +37,8 @@ const MAX_ITERATIONS: usize = 250;
 #[derive(Clone)]
 pub struct MeanCovariance {
     convolver: Convolver<f32>,
-    /// Eigenvalues, with the mean variance of a sample's error, nm²; none of frequencies that images do not resolve.
+    /// Eigenvalues, with the mean variance of a sample's error, nm²; none of frequencies that
+    /// images do not resolve.
     resolved_nm2: Vec<f32>,
     /// Eigenvalues of the mean over the number of points of the grid, nm².
     gain_nm2: Vec<f32>,
@@ -46,10 +49,11 @@ pub struct MeanCovariance {
     control: Control,
 }
 
-/// Columns B weighted by the inverse of a covariance C, `[column, sample]`: X ≈ C⁻¹·B, and its residual R = B − C·X.
+/// Columns B weighted by the inverse of a covariance C, `[column, sample]`: X ≈ C⁻¹·B, and its
+/// residual R = B − C·X.
 ///
-/// For the columns B′ of another, with X′ and R′, X·B′ᵀ + R·X′ᵀ = B·C⁻¹·B′ᵀ − R·C⁻¹·R′ᵀ: the error of these scalar products is the
-/// product of two residuals, where that of X·B′ᵀ alone is one.
+/// For the columns B′ of another, with X′ and R′, X·B′ᵀ + R·X′ᵀ = B·C⁻¹·B′ᵀ − R·C⁻¹·R′ᵀ: the error
+/// of these scalar products is the product of two residuals, where that of X·B′ᵀ alone is one.
 pub struct Weighted {
     /// X, the unit of B over nm².
     pub solution: Array2<f64>,
@@ -81,8 +85,8 @@ impl Weighted {
 }
 
 impl MeanCovariance {
-    /// Covariance of the mean of `images` wavefronts of covariance `residual`, whose samples each have an independent error of
-    /// `sample_error_nm` over their amplitude.
+    /// Covariance of the mean of `images` wavefronts of covariance `residual`, whose samples each
+    /// have an independent error of `sample_error_nm` over their amplitude.
     pub fn new(
         residual: &ResidualCovariance,
         images: usize,
@@ -98,7 +102,8 @@ impl MeanCovariance {
         };
         let mean_nm2: Vec<f64> = residual.spectrum_nm2.iter().zip(&residual.is_unresolved).map(of_mean).collect();
         let gain_nm2 = mean_nm2.iter().map(|nm2| (nm2 / n2) as f32).collect();
-        // Scaled to 1 and less in single precision: conjugate gradients do not depend on the scale of the preconditioner.
+        // Scaled to 1 and less in single precision: conjugate gradients do not depend on the scale
+        // of the preconditioner.
         let variance = |nm2: &f64| (nm2 + middle_nm2).max(f64::MIN_POSITIVE);
         let least = mean_nm2.iter().map(variance).fold(f64::MAX, f64::min);
         let inverse = mean_nm2.iter().map(|nm2| (least / variance(nm2) / n2) as f32).collect();
@@ -118,10 +123,12 @@ impl MeanCovariance {
         Self { control: control.clone(), ..self }
     }
 
-    /// RMS, over the resolved frequencies, of the logarithm of this covariance over `other`; infinite for one on another grid.
+    /// RMS, over the resolved frequencies, of the logarithm of this covariance over `other`;
+    /// infinite for one on another grid.
     ///
-    /// An estimate whose weights are off by factors between 1 − d and 1 + d has a variance of at most 1/(1 − d²) times the least
-    /// (Kantorovich), and error bars from them are off by d/2 at most.
+    /// An estimate whose weights are off by factors between 1 − d and 1 + d has a variance of at
+    /// most 1/(1 − d²) times the least (Kantorovich), and error bars from them are off by d/2 at
+    /// most.
     pub fn distance(&self, other: &Self) -> f64 {
         if self.resolved_nm2.len() != other.resolved_nm2.len() || self.floor_nm2.len() != other.floor_nm2.len() {
             return f64::INFINITY;
@@ -181,7 +188,8 @@ impl MeanCovariance {
         Ok(weighted)
     }
 
-    /// Conjugate gradients for two right sides at once, each with its own steps; returns the solution and its residual.
+    /// Conjugate gradients for two right sides at once, each with its own steps; returns the
+    /// solution and its residual.
     fn solve_pair(
         &self,
         right: Vec<Complex32>,
@@ -278,7 +286,8 @@ mod tests {
     #[test]
     fn variance_and_correlation_length_are_estimated() {
         let (samples, images) = (disc(), 60);
-        // Each map is white noise averaged over 3 × 3 samples: variance 1/9, correlation (1 − lag/3) along an axis.
+        // Each map is white noise averaged over 3 × 3 samples: variance 1/9, correlation (1 −
+        // lag/3) along an axis.
         let residuals = {
             let white = Array2::from_shape_vec((images, 26 * 26), noise(images * 676)).unwrap();
             Array2::from_shape_fn((images, samples.len()), |(image, sample)| {
@@ -287,8 +296,9 @@ mod tests {
             })
         };
         let covariance = ResidualCovariance::from_residuals(&samples, residuals.view()).unwrap();
-        // 60 images of some 40 independent patches: variance to 1/√1200 = 3 %; three of those. Negative eigenvalues that are
-        // left out, and the mean that is not, move it by a few per cent.
+        // 60 images of some 40 independent patches: variance to 1/√1200 = 3 %; three of those.
+        // Negative eigenvalues that are left out, and the mean that is not, move it by a few per
+        // cent.
         assert!((covariance.rms_nm() * 3.0 - 1.0).abs() < 0.1, "{}", covariance.rms_nm());
         let mean = MeanCovariance::new(&covariance, 10, 0.0, &samples);
         let mut one = Array1::zeros(samples.len());
@@ -320,7 +330,8 @@ mod tests {
             let left = &column - &times(&mean, solution);
             // The tolerance in its own norm; a tenth for the rounding of the norms.
             assert!(norm_of(&mean, residual) < 1.1 * TOLERANCE * norm_of(&mean, column));
-            // What single precision adds to the residual of the iteration: the rounding of 2⁻²⁴ = 6e-8 times the condition.
+            // What single precision adds to the residual of the iteration: the rounding of 2⁻²⁴ =
+            // 6e-8 times the condition.
             let rounding = &left - &residual;
             assert!(rounding.dot(&rounding).sqrt() < 1e-4 * norm);
         }
@@ -348,8 +359,8 @@ mod tests {
         let scale = exact.diag().fold(0.0, |most: f64, &value| most.max(value));
         let [corrected, plain] = [weighted.products(columns, &weighted), weighted.solution.dot(&columns.t())]
             .map(|products| error(products) / scale);
-        // The square of the tolerance is 1e-7; single precision of the residuals leaves some 1e-6, and the plain product the
-        // tolerance.
+        // The square of the tolerance is 1e-7; single precision of the residuals leaves some 1e-6,
+        // and the plain product the tolerance.
         assert!(corrected < 1e-5 && corrected < 0.1 * plain, "{corrected:e} {plain:e}");
         let column = weighted.correction(weighted.solution.row(2)) + weighted.solution.dot(&columns.row(2));
         assert!((&column - &exact.column(2)).iter().all(|off| off.abs() < 1e-5 * scale));
@@ -369,8 +380,8 @@ mod tests {
             let mean = MeanCovariance::new(&covariance, 30, 1.0, &samples);
             mean.solve(column.view()).unwrap().solution.row(0).dot(&column.row(0))
         };
-        // 1.3 nm² of noise and floor against 50² nm². Within, a third: 0.7 of the plane is free here, and at the edges of a pupil
-        // of 24 samples its ripples make up some of any other.
+        // 1.3 nm² of noise and floor against 50² nm². Within, a third: 0.7 of the plane is free
+        // here, and at the edges of a pupil of 24 samples its ripples make up some of any other.
         assert!(weight(3.0, 4.2) < 1e-3 * weight(f64::INFINITY, 4.2));
         assert!(weight(3.0, 1.0) > 0.6 * weight(f64::INFINITY, 1.0));
     }
@@ -386,8 +397,8 @@ mod tests {
         };
         let one = of(1.0, f64::INFINITY);
         assert_eq!(one.distance(&one), 0.0);
-        // Eigenvalues that are 0 are equal in both: the others, of which white noise has four fifths or more after the taper, differ by
-        // ln 1.21.
+        // Eigenvalues that are 0 are equal in both: the others, of which white noise has four
+        // fifths or more after the taper, differ by ln 1.21.
         let distance = one.distance(&of(1.1, f64::INFINITY));
         assert!(distance < 1.21f64.ln() * 1.0001 && distance > 0.8 * 1.21f64.ln(), "{distance}");
         // Other frequencies are resolved.

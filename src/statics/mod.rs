@@ -1,4 +1,5 @@
-//! Static errors, segment pistons (and tips and tilts) and non-common path aberrations (NCPA), from a sequence of retrieved wavefronts.
+//! Static errors, segment pistons (and tips and tilts) and non-common path aberrations (NCPA), from
+//! a sequence of retrieved wavefronts.
 //!
 //! ```text
 //! wavefronts ─ mean ─ generalised least squares ─ segments, NCPA ┐
@@ -6,9 +7,10 @@
 //!   └────────────── static wavefront ──────┼── loop response ─────┘      iterations, until one changes next to nothing
 //! ```
 //!
-//! The loop's response to the segments is smooth and segments have edges, so a covariance like that of turbulence separates the two;
-//! the response itself is known from a simulation of the loop closed on the segments alone. Tips and tilts are estimated where the
-//! scene has them, or where the residual of the mean wavefront shows them.
+//! The loop's response to the segments is smooth and segments have edges, so a covariance like that
+//! of turbulence separates the two; the response itself is known from a simulation of the loop
+//! closed on the segments alone. Tips and tilts are estimated where the scene has them, or where
+//! the residual of the mean wavefront shows them.
 
 mod anderson;
 mod common_figure;

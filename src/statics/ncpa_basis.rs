@@ -5,13 +5,15 @@ use crate::modes::{self, SmoothBasis};
 use crate::scene::System;
 use crate::telescope::Telescope;
 
-/// Slopes of the lenslets' disc for each identifiable Zernike mode: two thirds of them are in the pupil.
+/// Slopes of the lenslets' disc for each identifiable Zernike mode: two thirds of them are in the
+/// pupil.
 const SLOPES_PER_ZERNIKE: f64 = 2.7;
-/// Slopes of the lenslets' disc for each mode of a mirror, all of which the loop must identify: a quarter more slopes than modes
-/// are in the pupil.
+/// Slopes of the lenslets' disc for each mode of a mirror, all of which the loop must identify: a
+/// quarter more slopes than modes are in the pupil.
 const SLOPES_PER_MIRROR_MODE: f64 = 1.9;
 
-/// Most modes of a mirror, the largest basis of NCPA: the cost of each is the same, and images have few pixels for more.
+/// Most modes of a mirror, the largest basis of NCPA: the cost of each is the same, and images have
+/// few pixels for more.
 pub(crate) const MAX_NCPA_MODES: usize = 400;
 
 /// Family of modes that describe the NCPA.
@@ -22,8 +24,8 @@ pub enum NcpaFamily {
         /// The last order; lower where the sensor cannot identify as many modes.
         highest_order: usize,
     },
-    /// Karhunen-Loève modes of the mirror, as many as the sensor can identify, in groups as large as the orders of Zernike
-    /// polynomials. They span all that the mirror can correct.
+    /// Karhunen-Loève modes of the mirror, as many as the sensor can identify, in groups as large
+    /// as the orders of Zernike polynomials. They span all that the mirror can correct.
     Mirror,
 }
 
@@ -34,7 +36,8 @@ const SMALLEST_PETAL_REMAINDER: f64 = 1e-3;
 pub struct NcpaBasis {
     /// The modes.
     pub modes: SmoothBasis,
-    /// Number of modes in each group, in turn; the first group is tip and tilt, and the last, where there are petals, theirs.
+    /// Number of modes in each group, in turn; the first group is tip and tilt, and the last, where
+    /// there are petals, theirs.
     pub groups: Vec<usize>,
     /// Number of groups without that of the petals.
     pub orders: usize,
@@ -83,7 +86,8 @@ impl NcpaBasis {
     }
 }
 
-/// Number of modes that the sensor of `scene` identifies, given the slopes of the lenslets' disc that each needs.
+/// Number of modes that the sensor of `scene` identifies, given the slopes of the lenslets' disc
+/// that each needs.
 fn identifiable_modes(scene: &System, slopes_per_mode: f64) -> f64 {
     scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
         // Two slopes for each lenslet of a disc.
@@ -112,7 +116,8 @@ mod tests {
         assert_eq!([13, 20, 24].map(|order| highest_order(&keck, order)), [13, 20, 20]);
         let mirror =
             |scene: &Scene| NcpaBasis::new(NcpaFamily::Mirror, scene, &Telescope::new(scene).unwrap()).unwrap();
-        // All modes of Keck's mirror on the pupil's samples, which are fewer than 628/1.9; of ten lenslets 157/1.9.
+        // All modes of Keck's mirror on the pupil's samples, which are fewer than 628/1.9; of ten
+        // lenslets 157/1.9.
         let basis = mirror(&keck);
         let telescope = Telescope::new(&keck).unwrap();
         let (influence, turbulence) = (telescope.influence(&keck).unwrap(), Telescope::turbulence(&keck).unwrap());

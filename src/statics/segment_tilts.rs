@@ -1,4 +1,5 @@
-//! Detection of tilts of single segments, which neither pistons nor NCPA modes represent, in the residual of the mean wavefront.
+//! Detection of tilts of single segments, which neither pistons nor NCPA modes represent, in the
+//! residual of the mean wavefront.
 
 use super::mean_covariance::MeanCovariance;
 use crate::Result;
@@ -9,21 +10,24 @@ use ndarray::{Array1, ArrayView1, ArrayView2, Axis};
 /// Tilts of single segments in the residual of a mean wavefront.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SegmentTilts {
-    /// RMS over the pupil of the least-squares tilts, nm: a lower bound, because pistons and NCPA have absorbed a part.
+    /// RMS over the pupil of the least-squares tilts, nm: a lower bound, because pistons and NCPA
+    /// have absorbed a part.
     pub rms_nm: f64,
     /// Decrease of χ² per tilt, under the covariance of the mean wavefront.
     pub chi2: f64,
 }
 
-/// χ² per tilt above which tilts are significant. For 75 images of a Keck whose segments move in piston alone it is 0.4, because the
-/// fit has absorbed a part; with tilts of 20 nm it is 15.
+/// χ² per tilt above which tilts are significant. For 75 images of a Keck whose segments move in
+/// piston alone it is 0.4, because the fit has absorbed a part; with tilts of 20 nm it is 15.
 const SIGNIFICANT_CHI2: f64 = 3.0;
 
-/// Residual of the least squares, over the right side, at which they are solved. χ² is then known to the square of it, but for the condition of
-/// the equations, to a hundredth at worst in the test: little beside the factors of 5 between its limit and what is found with and without tilts.
+/// Residual of the least squares, over the right side, at which they are solved. χ² is then known
+/// to the square of it, but for the condition of the equations, to a hundredth at worst in the
+/// test: little beside the factors of 5 between its limit and what is found with and without tilts.
 const TOLERANCE: f64 = 0.02;
 
-/// Iterations after which the least squares end. χ² grows with each, so that it is too small then, if anything.
+/// Iterations after which the least squares end. χ² grows with each, so that it is too small then,
+/// if anything.
 const MAX_ITERATIONS: usize = 60;
 
 impl SegmentTilts {
@@ -32,8 +36,8 @@ impl SegmentTilts {
         self.chi2 > SIGNIFICANT_CHI2
     }
 
-    /// Estimates the tilts in the residual of the mean wavefront, nm at each sample, by the wavefronts `columns` of 1 nm of each,
-    /// `[tilt, sample]`.
+    /// Estimates the tilts in the residual of the mean wavefront, nm at each sample, by the
+    /// wavefronts `columns` of 1 nm of each, `[tilt, sample]`.
     pub(super) fn estimate(
         residual_nm: ArrayView1<f64>,
         columns: ArrayView2<f64>,
@@ -45,8 +49,9 @@ impl SegmentTilts {
             Ok(row_products(columns, solved.solution.row(0)))
         };
         let b = weighted(residual_nm)?;
-        // Conjugate gradients, preconditioned by the squares of the columns, which differ where segments are cut off. An inverse of the normal
-        // equations would take a solution under the covariance for each tilt, and these take one for each iteration.
+        // Conjugate gradients, preconditioned by the squares of the columns, which differ where
+        // segments are cut off. An inverse of the normal equations would take a solution under the
+        // covariance for each tilt, and these take one for each iteration.
         let scale: Array1<f64> = columns
             .outer_iter()
             .map(|column| column.dot(&column))
@@ -112,7 +117,8 @@ mod tests {
         let chance = noise((1, samples.amplitude.len())).row(0).to_owned() / (images as f64).sqrt();
         let columns = samples.tilts(&tilt_frames(&telescope.pupil).unwrap());
         let none = SegmentTilts::estimate(chance.view(), columns.view(), &covariance, &samples).unwrap();
-        // Fourteen unknowns: χ² of each scatters by √(2/14) = 0.4 about 1, as does the covariance of so few images.
+        // Fourteen unknowns: χ² of each scatters by √(2/14) = 0.4 about 1, as does the covariance
+        // of so few images.
         assert!(!none.is_significant() && none.chi2 > 0.3, "{none:?}");
         // 10 nm RMS over every segment, along x.
         let count = samples.pistons.nrows();

@@ -1,4 +1,5 @@
-//! Retrieval of a sequence of images, of one channel or of several, iteration after iteration about the last static wavefront.
+//! Retrieval of a sequence of images, of one channel or of several, iteration after iteration about
+//! the last static wavefront.
 
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use crate::control::{Control, Stage};
@@ -20,7 +21,8 @@ pub struct ChannelSequence<'a> {
 
 /// Retrieval of a sequence of images, of one channel or of several.
 ///
-/// The wavefront of an exposure is that of its image, or the mean over its images where all channels took it at once.
+/// The wavefront of an exposure is that of its image, or the mean over its images where all
+/// channels took it at once.
 pub struct SequenceRetrieval<'a> {
     channels: Vec<ChannelSequence<'a>>,
     /// Whether image i of every channel is of exposure i.
@@ -35,7 +37,8 @@ pub struct SequenceRetrieval<'a> {
     start: Option<StaticWavefront>,
     /// Wavefronts of the first iteration, until it takes them.
     first: Option<Exposures>,
-    /// What the blur of each exposure changes in its image, by the last retrievals of each channel, electrons.
+    /// What the blur of each exposure changes in its image, by the last retrievals of each channel,
+    /// electrons.
     blur_e: Vec<Vec<Vec<f32>>>,
     /// Report of each image's last retrieval, channel after channel.
     pub reports: Vec<RetrievalReport>,
@@ -53,11 +56,12 @@ struct Exposures {
 }
 
 impl<'a> SequenceRetrieval<'a> {
-    /// For the images of `channels`, whose retrievers have the same samples, with the wavefronts' `prior` and the slopes that the
-    /// wavefront sensor measured in each exposure, if any.
+    /// For the images of `channels`, whose retrievers have the same samples, with the wavefronts'
+    /// `prior` and the slopes that the wavefront sensor measured in each exposure, if any.
     ///
     /// # Errors
-    /// [`Error::Shape`] for telemetry of another number of exposures, and for simultaneous channels with different numbers of images.
+    /// [`Error::Shape`] for telemetry of another number of exposures, and for simultaneous channels
+    /// with different numbers of images.
     pub fn new(
         channels: Vec<ChannelSequence<'a>>,
         is_simultaneous: bool,
@@ -100,13 +104,14 @@ impl<'a> SequenceRetrieval<'a> {
         Self { start, ..self }
     }
 
-    /// This sequence, whose slopes are relative to a reference that corrections have moved by `moved_mas`, mas for each slope.
+    /// This sequence, whose slopes are relative to a reference that corrections have moved by
+    /// `moved_mas`, mas for each slope.
     pub fn with_moved_reference(self, moved_mas: Option<Array1<f64>>) -> Self {
         Self { moved_reference_mas: moved_mas, ..self }
     }
 
-    /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes, `[exposure, sample]`, nm; NaN for
-    /// unusable images.
+    /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes,
+    /// `[exposure, sample]`, nm; NaN for unusable images.
     ///
     /// # Errors
     /// Those of [`Retriever::retrieve`].
@@ -251,8 +256,9 @@ mod tests {
         let pistons_nm: Vec<f64> = (0..pistons.nrows()).map(|s| 50.0 * (2.4 * s as f64).sin()).collect();
         let retrieved = retriever.modal_wavefront_nm(&pistons_nm);
         let modelled = ndarray::aview1(&pistons_nm).dot(pistons);
-        // Edges that differ by a tenth put 15 nm into the phasing, so only rounding is allowed. Where the weights of several
-        // segments cancel to a tenth of their moduli it is magnified by some hundred.
+        // Edges that differ by a tenth put 15 nm into the phasing, so only rounding is allowed.
+        // Where the weights of several segments cancel to a tenth of their moduli it is magnified
+        // by some hundred.
         assert!(retrieved.iter().zip(&modelled).all(|(retrieved, modelled)| (retrieved - modelled).abs() < 1e-10));
         let slopes = Some(Array2::zeros((3, 4)));
         assert!(SequenceRetrieval::new(vec![channel], false, &prior, slopes, &control).is_err());

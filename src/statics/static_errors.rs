@@ -3,7 +3,8 @@
 use crate::modal::GlobalMotions;
 use ndarray::{Array1, Array2};
 
-/// Least exponent with which the variance of a mode falls with its radial order: polished glass and turbulence have 3.7 and more.
+/// Least exponent with which the variance of a mode falls with its radial order: polished glass and
+/// turbulence have 3.7 and more.
 const MIN_EXPONENT: f64 = 3.0;
 
 /// Static errors of a telescope.
@@ -11,12 +12,14 @@ const MIN_EXPONENT: f64 = 3.0;
 pub struct StaticErrors {
     /// Piston of each segment, nm.
     pub pistons_nm: Vec<f64>,
-    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they are not estimated.
+    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they are not
+    /// estimated.
     pub tilts_nm: Vec<f64>,
     /// Coefficients of the NCPA's modes, nm.
     pub ncpa_nm: Vec<f64>,
-    /// Coefficients, in the same modes, of the part of the mean wavefront that the sensor measured too, nm: turbulence that did not
-    /// average, and the drift of actuators to which the sensor is nearly blind. 0 without telemetry, which alone separates it from NCPA.
+    /// Coefficients, in the same modes, of the part of the mean wavefront that the sensor measured
+    /// too, nm: turbulence that did not average, and the drift of actuators to which the sensor is
+    /// nearly blind. 0 without telemetry, which alone separates it from NCPA.
     pub common_path_nm: Vec<f64>,
     /// Posterior covariance of pistons, tilts and NCPA in turn, nm².
     pub covariance_nm2: Array2<f64>,
@@ -24,8 +27,8 @@ pub struct StaticErrors {
     pub log_marginal_likelihood: f64,
     /// Residual of the mean wavefront, nm at each sample.
     pub residual_nm: Array1<f64>,
-    /// Hyperparameters: prior RMS of a mode of each group, nm; pistons, the segments' tilts where they are estimated, then tip and tilt
-    /// of the NCPA, then their other groups in turn.
+    /// Hyperparameters: prior RMS of a mode of each group, nm; pistons, the segments' tilts where
+    /// they are estimated, then tip and tilt of the NCPA, then their other groups in turn.
     pub prior_rms_nm: Vec<f64>,
 }
 
@@ -45,7 +48,8 @@ impl StaticErrors {
         self.pistons_nm.len() + self.tilts_nm.len()
     }
 
-    /// Prior RMS of a mode of each group from the last one of the segments on, nm: element n is that of the NCPA's group n, from 1.
+    /// Prior RMS of a mode of each group from the last one of the segments on, nm: element n is
+    /// that of the NCPA's group n, from 1.
     fn ncpa_rms_nm(&self) -> &[f64] {
         &self.prior_rms_nm[usize::from(!self.tilts_nm.is_empty())..]
     }
@@ -55,9 +59,9 @@ impl StaticErrors {
         self.ncpa_rms_nm()[groups.max(3) - 1..=groups].iter().copied().fold(0.0, f64::max)
     }
 
-    /// Extrapolates the RMS over the pupil of NCPA beyond the last of `groups` orders, nm, from the power law of the finer half of
-    /// the orders: with the variance s² of a mode of the last order N, and s² ∝ n^−q,
-    /// Σ (n + 1)·s²·(n/N)^−q over n > N is about s²·N²/(q − 2).
+    /// Extrapolates the RMS over the pupil of NCPA beyond the last of `groups` orders, nm, from the
+    /// power law of the finer half of the orders: with the variance s² of a mode of the last order
+    /// N, and s² ∝ n^−q, Σ (n + 1)·s²·(n/N)^−q over n > N is about s²·N²/(q − 2).
     pub(super) fn extrapolated_ncpa_nm(&self, groups: usize) -> f64 {
         // Order 1 is tip and tilt, whose prior is flat.
         let finer = (groups / 2).max(2)..=groups;
@@ -73,7 +77,8 @@ impl StaticErrors {
         (variance_nm2 * last * last / (exponent - 2.0)).sqrt()
     }
 
-    /// Removes motions of the whole mirror, which leave the images as they are, from the coefficients and their covariance.
+    /// Removes motions of the whole mirror, which leave the images as they are, from the
+    /// coefficients and their covariance.
     pub(super) fn without_motions(mut self, motions: &GlobalMotions) -> Self {
         let mut coefficients_nm = self.coefficients_nm().to_vec();
         motions.remove(&mut coefficients_nm);
@@ -84,7 +89,8 @@ impl StaticErrors {
         self
     }
 
-    /// Scales the covariance up where wavefronts recover only these fractions of an error of the segments and of the NCPA.
+    /// Scales the covariance up where wavefronts recover only these fractions of an error of the
+    /// segments and of the NCPA.
     pub(super) fn with_recovered_fractions(mut self, [segments, ncpa]: [f64; 2]) -> Self {
         let segment_modes = self.segment_modes();
         let fraction = |mode: usize| if mode < segment_modes { segments } else { ncpa };
@@ -117,7 +123,8 @@ mod tests {
             // Order by order, until the rest is a thousandth.
             let variance = |order: u32| f64::from(order + 1) * rms_nm(f64::from(order), exponent).powi(2);
             let sum: f64 = (orders as u32 + 1..20_000).map(variance).sum();
-            // A sum from 20.5 with one mode more in each order, against an integral from 20: 10 % at the steepest.
+            // A sum from 20.5 with one mode more in each order, against an integral from 20: 10 %
+            // at the steepest.
             let beyond_nm = errors(exponent).extrapolated_ncpa_nm(orders);
             assert!((beyond_nm / sum.sqrt() - 1.0).abs() < 0.1, "{exponent}: {beyond_nm} {}", sum.sqrt());
         }

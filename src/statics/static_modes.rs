@@ -1,4 +1,5 @@
-//! Static modes, of the segments and NCPA, at the samples of the wavefronts and as maps with their error bars.
+//! Static modes, of the segments and NCPA, at the samples of the wavefronts and as maps with their
+//! error bars.
 
 use super::error_budget::ErrorBudget;
 use super::image_selection::SelectedImages;
@@ -30,23 +31,27 @@ pub(super) struct StaticModes {
     maps: Basis,
     /// Number of modes of the segments.
     segments: usize,
-    /// Motions of the whole mirror, 0 by convention, where segments have tilts. Without tilts a plane through the pistons is a
-    /// staircase, which has edges.
+    /// Motions of the whole mirror, 0 by convention, where segments have tilts. Without tilts a
+    /// plane through the pistons is a staircase, which has edges.
     motions: Option<GlobalMotions>,
     gram: MapGram,
     diversity: DiversityProjection,
-    /// Covariance of the NCPA's modes from an error of the diversity common to all images, nm²; `None` where it is known.
+    /// Covariance of the NCPA's modes from an error of the diversity common to all images, nm²;
+    /// `None` where it is known.
     diversity_nm2: Option<Array2<f64>>,
-    /// The NCPA's modes on the scene's grid with the projection of maps onto them, where the loop response is unknown.
+    /// The NCPA's modes on the scene's grid with the projection of maps onto them, where the loop
+    /// response is unknown.
     projection: Option<(Basis, ModeProjector)>,
 }
 
-/// RMS response of an unknown loop to the segments, over their projection onto the NCPA's modes: 1/√3, of a response uniform from 0
-/// to 1. Keck's zonal loop responds with two thirds, and its response has a correlation of 0.93 with the projection.
+/// RMS response of an unknown loop to the segments, over their projection onto the NCPA's modes:
+/// 1/√3, of a response uniform from 0 to 1. Keck's zonal loop responds with two thirds, and its
+/// response has a correlation of 0.93 with the projection.
 const UNKNOWN_RESPONSE: f64 = 0.577;
 
 impl StaticModes {
-    /// The modes of the segments and of `family` on the pupil of `scene`, at all illuminated samples and at those kept.
+    /// The modes of the segments and of `family` on the pupil of `scene`, at all illuminated
+    /// samples and at those kept.
     ///
     /// # Errors
     /// Those of making the bases.
@@ -94,7 +99,8 @@ impl StaticModes {
         })
     }
 
-    /// RMS, nm, of what the NCPA's modes leave of a wavefront at the kept samples, nm, beside its mean.
+    /// RMS, nm, of what the NCPA's modes leave of a wavefront at the kept samples, nm, beside its
+    /// mean.
     ///
     /// # Errors
     /// Where the modes' normal equations cannot be solved.
@@ -108,9 +114,10 @@ impl StaticModes {
         Ok((left_nm.dot(&left_nm) / samples).sqrt())
     }
 
-    /// Wavefronts `columns` of the segment modes, `[mode, sample]`, without the motions of the whole mirror that are 0 by convention. The
-    /// loop leaves some percent of a plane in the wavefront, so that one that stays in the columns can take up what the model of the loop
-    /// has wrong, many times as large.
+    /// Wavefronts `columns` of the segment modes, `[mode, sample]`, without the motions of the
+    /// whole mirror that are 0 by convention. The loop leaves some percent of a plane in the
+    /// wavefront, so that one that stays in the columns can take up what the model of the loop has
+    /// wrong, many times as large.
     pub(super) fn columns_without_motions(&self, columns: Array2<f64>) -> Array2<f64> {
         match &self.motions {
             Some(motions) => motions.removed_from_columns(&columns),
@@ -126,8 +133,9 @@ impl StaticModes {
         }
     }
 
-    /// The iteration with these static errors: maps, error bars and error budget. `uncompensated_nm` is the expected error of the
-    /// segments that the loop leaves in the wavefront, where that is less than all; `input` are the coefficients about which the
+    /// The iteration with these static errors: maps, error bars and error budget.
+    /// `uncompensated_nm` is the expected error of the segments that the loop leaves in the
+    /// wavefront, where that is less than all; `input` are the coefficients about which the
     /// wavefronts were retrieved.
     pub(super) fn iteration(
         &self,
@@ -173,8 +181,8 @@ impl StaticModes {
         })
     }
 
-    /// Adds to the covariance of the NCPA the errors that all images have in common, of the diversity and of an unknown loop
-    /// response; returns the error budget.
+    /// Adds to the covariance of the NCPA the errors that all images have in common, of the
+    /// diversity and of an unknown loop response; returns the error budget.
     fn add_common_errors(
         &self,
         errors: &mut StaticErrors,
@@ -198,7 +206,8 @@ impl StaticModes {
         Ok(ErrorBudget::new(total_nm, averaged_nm, diversity_nm, ncpa_rms_nm(&response_nm2)?))
     }
 
-    /// Expected RMS over the pupil of phasing and NCPA with a covariance, piston, tip and tilt removed, nm.
+    /// Expected RMS over the pupil of phasing and NCPA with a covariance, piston, tip and tilt
+    /// removed, nm.
     fn expected_rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 2]> {
         let expected = |range: Range<usize>| {
             self.gram.expected_rms_of_nm(range.clone(), covariance_nm2.slice(s![range.clone(), range]))
@@ -206,7 +215,8 @@ impl StaticModes {
         Ok([expected(0..self.segments)?, expected(self.segments..covariance_nm2.nrows())?])
     }
 
-    /// Standard deviation of an unknown loop's response to the segments, in the NCPA's modes, nm; 0 where the loop is known.
+    /// Standard deviation of an unknown loop's response to the segments, in the NCPA's modes, nm; 0
+    /// where the loop is known.
     fn unknown_response_nm(&self, coefficients: &Array1<f64>) -> Result<Array1<f64>> {
         let Some((basis, projector)) = &self.projection else { return Ok(Array1::zeros(self.at_all.nrows())) };
         let segments_nm = self.sum(coefficients, 0..self.segments);
@@ -232,7 +242,8 @@ fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &System) -> 
     (fraction > 0.0).then(|| diversity.covariance_nm2(fraction, &remedy)).transpose()
 }
 
-/// Refuses a scene with an error of the diversity that the modes of `family` cannot represent, before any image is read.
+/// Refuses a scene with an error of the diversity that the modes of `family` cannot represent,
+/// before any image is read.
 ///
 /// # Errors
 /// [`Error::Scene`]; those of making the modes.

@@ -1,4 +1,5 @@
-//! Static errors from the known wavefronts of an AO simulation, as of a perfect retrieval, against the truth.
+//! Static errors from the known wavefronts of an AO simulation, as of a perfect retrieval, against
+//! the truth.
 
 use super::error_budget::ErrorSource;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
@@ -13,12 +14,14 @@ use ndarray::{Array1, Array2};
 
 mod segment_tilts;
 
-/// Recorder of the wavefront of each exposure, averaged over its frames, on the scene's grid, for [`Simulator::run`].
+/// Recorder of the wavefront of each exposure, averaged over its frames, on the scene's grid, for
+/// [`Simulator::run`].
 struct SimulatedWavefronts {
     schedule: Schedule,
     samples: IlluminatedSamples,
     segments_nm: Vec<f32>,
-    /// For each illuminated sample of the simulator's map: its index, the coarser sample that holds it, its share.
+    /// For each illuminated sample of the simulator's map: its index, the coarser sample that holds
+    /// it, its share.
     cells: Vec<(u32, u32, f64)>,
     /// Static wavefront, nm.
     static_nm: Array1<f64>,
@@ -186,32 +189,36 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
     let iterations = [AoKnowledge::Spectrum, AoKnowledge::Loop, AoKnowledge::Telemetry].map(find);
     let [spectrum, known_loop, telemetry] = [0, 1, 2].map(|i| residuals_nm(&iterations[i]));
     println!("{spectrum:.2?} {known_loop:.2?} {telemetry:.2?}");
-    // Without the loop its response to the pistons counts as NCPA; without slopes the mean of the turbulence does.
+    // Without the loop its response to the pistons counts as NCPA; without slopes the mean of the
+    // turbulence does.
     assert!(known_loop[1] < 0.8 * spectrum[1] && telemetry[1] < 0.5 * known_loop[1]);
-    // An error bar is the root of a mean square over some ten degrees of freedom, so one draw scatters by a quarter; and
-    // a pupil of three segments, with lags tapered at its width, underestimates the lowest orders of its turbulence by
-    // up to a half. Three times it is too much.
+    // An error bar is the root of a mean square over some ten degrees of freedom, so one draw
+    // scatters by a quarter; and a pupil of three segments, with lags tapered at its width,
+    // underestimates the lowest orders of its turbulence by up to a half. Three times it is too
+    // much.
     for (found_nm, iteration) in [spectrum, known_loop, telemetry].iter().zip(&iterations) {
         let expected_nm = iteration.error_budget.total_nm;
         assert!((0..2).all(|i| found_nm[i] < 3.0 * expected_nm[i]), "{expected_nm:?}");
         assert_terms_add_up(iteration);
     }
     assert!(telemetry[0] < 15.0 && telemetry[1] < 10.0, "64 and 73 nm were put in");
-    // Error bars increase as the knowledge decreases; the unknown loop response does not average over images.
+    // Error bars increase as the knowledge decreases; the unknown loop response does not average
+    // over images.
     let [wide, narrow, narrowest] = [0, 1, 2].map(|i| iterations[i].error_budget.total_nm[1]);
     assert!(wide > narrow && narrow > narrowest, "{wide} {narrow} {narrowest}");
     let [unknown, known, _] = &iterations;
     let (known, budget) = (&known.error_budget, &unknown.error_budget);
     assert_eq!((known.term_nm(ErrorSource::UnknownLoopResponse), known.averaged_nm()), ([0.0; 2], known.total_nm));
     let response_nm = budget.term_nm(ErrorSource::UnknownLoopResponse)[1];
-    // Pistons of 64 nm, of which the modes represent most and the pupil's plane absorbs some, times 0.58.
+    // Pistons of 64 nm, of which the modes represent most and the pupil's plane absorbs some, times
+    // 0.58.
     assert!((15.0..40.0).contains(&response_nm), "{response_nm}");
     assert!((budget.total_nm[1] / budget.averaged_nm()[1].hypot(response_nm) - 1.0).abs() < 1e-9);
     assert!(unknown.further_images([f64::INFINITY, 0.9 * response_nm]).is_err());
 }
 
-/// The error is common to all images and iterations, so it changes neither the estimate, nor when iterations end, nor the gain of further
-/// images.
+/// The error is common to all images and iterations, so it changes neither the estimate, nor when
+/// iterations end, nor the gain of further images.
 #[test]
 fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     let (simulator, run) = run();
@@ -239,7 +246,8 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     assert_eq!((sure.error_budget.averaged_nm(), unsure.error_budget.averaged_nm()), (known_nm, known_nm));
     assert_terms_add_up(&unsure);
 
-    // A focus is Noll's 4, the third of the modes, and of 1.5 waves RMS over the finest pupil: a part in a hundred.
+    // A focus is Noll's 4, the third of the modes, and of 1.5 waves RMS over the finest pupil: a
+    // part in a hundred.
     let segments = sure.errors.pistons_nm.len();
     let (rms_nm, along_nm) = (1.5 * known.image.wavelength_nm, &sure.diversity.coefficients_nm);
     assert!((along_nm[2].abs() / rms_nm - 1.0).abs() < 0.01 && sure.diversity.is_spanned(), "{:?}", sure.diversity);
@@ -248,7 +256,8 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     // Rounding of variances of some 10⁵ nm².
     let off_nm2 = more_nm2.indexed_iter().map(|((i, j), nm2)| (nm2 - along(i) * along(j)).abs());
     assert!(off_nm2.fold(0.0, f64::max) < 1e-9);
-    // 7 segments and their neighbourhood on 60 samples: the diversity of the map, but for the part that modes do not represent.
+    // 7 segments and their neighbourhood on 60 samples: the diversity of the map, but for the part
+    // that modes do not represent.
     let diversity = crate::telescope::Diversity::new(known, simulator.telescope()).unwrap();
     let grid = simulator.telescope().pupil.grid;
     for ((y, x), sigma_nm) in unsure.sigma_maps.ncpa_nm.indexed_iter().filter(|(_, nm)| nm.is_finite()) {
@@ -271,7 +280,8 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     let sentence = unsure.further_images([f64::INFINITY, 0.9 * shared_nm]).unwrap_err().to_string();
     assert!(sentence.contains("out of reach"), "{sentence}");
 
-    // NCPA beyond the modes are in the error bars of the NCPA alone, and do not average over images.
+    // NCPA beyond the modes are in the error bars of the NCPA alone, and do not average over
+    // images.
     let mut beyond = sure.clone();
     beyond.add_beyond_modes(50.0);
     assert_eq!(beyond.error_budget.averaged_nm(), known_nm);

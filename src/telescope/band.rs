@@ -1,8 +1,9 @@
 //! Wavelengths that sample a filter of finite width: Gauss-Legendre quadrature.
 //!
-//! The image in a band is the mean over its wavelengths. K Gauss-Legendre nodes integrate polynomials of degree 2K − 1
-//! exactly. At r λ/D from the axis the phase of the field changes by r·Δ turns over a band of width Δ; the mean of
-//! cos(2π·t·r·Δ) over t from −½ to ½ has an error of 1e-3 with K = 2 + 2·r·Δ nodes.
+//! The image in a band is the mean over its wavelengths. K Gauss-Legendre nodes integrate
+//! polynomials of degree 2K − 1 exactly. At r λ/D from the axis the phase of the field changes by
+//! r·Δ turns over a band of width Δ; the mean of cos(2π·t·r·Δ) over t from −½ to ½ has an error of
+//! 1e-3 with K = 2 + 2·r·Δ nodes.
 
 /// Number of wavelengths for a filter of `width` (relative to its mean wavelength) and light up to
 /// `reach_lambda_over_d` from the axis.
@@ -10,14 +11,14 @@ pub fn wavelengths_to(reach_lambda_over_d: f64, width: f64) -> usize {
     if width > 0.0 { (2.0 + 2.0 * reach_lambda_over_d * width).ceil() as usize } else { 1 }
 }
 
-/// Wavelengths of a flat filter of `width` (relative to its mean wavelength), `count` of them: each relative to the
-/// mean, with its weight; the weights sum to 1.
+/// Wavelengths of a flat filter of `width` (relative to its mean wavelength), `count` of them: each
+/// relative to the mean, with its weight; the weights sum to 1.
 pub fn band(width: f64, count: usize) -> Vec<(f64, f64)> {
     gauss_legendre(count).into_iter().map(|(place, share)| (1.0 + 0.5 * width * place, share)).collect()
 }
 
-/// Nodes on (−1, 1) and weights of sum 1: zeros of Legendre's polynomial of degree `count` by Newton's method from
-/// Tricomi's starting points (Press et al., Numerical Recipes, section 4.6).
+/// Nodes on (−1, 1) and weights of sum 1: zeros of Legendre's polynomial of degree `count` by
+/// Newton's method from Tricomi's starting points (Press et al., Numerical Recipes, section 4.6).
 pub(super) fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
     let n = count as f64;
     (0..count)

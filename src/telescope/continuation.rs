@@ -1,22 +1,26 @@
 //! Continuation of a map beyond the edge of the pupil.
 //!
-//! Other programs write 0 (POPPY, HCIPy) or NaN (prysm, interferometers) outside the pupil. Interpolated as they are, these values change
-//! the map within a sample of its edge, and a band-limited pupil takes values some samples beyond it: an estimate is off by 6 to 30 nm. So
-//! samples that the map does not have are filled with the quadratic surface through known ones about the nearest known one; the map of smooth
-//! optics is such a surface but for the third order.
+//! Other programs write 0 (POPPY, HCIPy) or NaN (prysm, interferometers) outside the pupil.
+//! Interpolated as they are, these values change the map within a sample of its edge, and a
+//! band-limited pupil takes values some samples beyond it: an estimate is off by 6 to 30 nm. So
+//! samples that the map does not have are filled with the quadratic surface through known ones
+//! about the nearest known one; the map of smooth optics is such a surface but for the third order.
 
 use crate::linear_algebra::SpdInverse;
 use crate::pupil::Pupil;
 use ndarray::{Array1, Array2, Axis};
 use rayon::prelude::*;
 
-/// Share of the samples outside the pupil that are exactly 0, from which 0 means that there is no value.
+/// Share of the samples outside the pupil that are exactly 0, from which 0 means that there is no
+/// value.
 const MOSTLY: f64 = 0.9;
 /// Share of the samples inside that may be exactly 0 then: those in gaps between segments.
 const RARELY: f64 = 0.03;
-/// How far a map is continued, in samples of the pupil: the weights of a band-limited pupil ring that far beyond an edge.
+/// How far a map is continued, in samples of the pupil: the weights of a band-limited pupil ring
+/// that far beyond an edge.
 const REACH: f64 = 12.0;
-/// Half of the window whose known samples determine the surface, in samples of the pupil, and the least in samples of the map.
+/// Half of the window whose known samples determine the surface, in samples of the pupil, and the
+/// least in samples of the map.
 const WINDOW: f64 = 4.0;
 const LEAST_WINDOW: usize = 3;
 /// Samples along a side of the window that are used at most: of a finer map each second or third.
@@ -24,8 +28,8 @@ const ACROSS: usize = 13;
 /// Least samples that determine a quadratic surface, twice its terms.
 const ENOUGH: usize = 12;
 
-/// Map `[y, x]` over `width_m` with the values that it does not have, those that are not finite and zeros outside `pupil`, continued from
-/// inside. Beyond the reach they are 0.
+/// Map `[y, x]` over `width_m` with the values that it does not have, those that are not finite and
+/// zeros outside `pupil`, continued from inside. Beyond the reach they are 0.
 pub(crate) fn continued(map: &Array2<f64>, width_m: f64, pupil: &Pupil) -> Array2<f64> {
     let pitch_m = width_m / map.ncols() as f64;
     let is_masked = has_zeros_for_none(map, pitch_m, pupil);
@@ -48,7 +52,8 @@ pub(crate) fn continued(map: &Array2<f64>, width_m: f64, pupil: &Pupil) -> Array
     out
 }
 
-/// Whether a map is 0 where it has no value: outside `pupil`, and not inside, where it may be a step or that of one segment.
+/// Whether a map is 0 where it has no value: outside `pupil`, and not inside, where it may be a
+/// step or that of one segment.
 fn has_zeros_for_none(map: &Array2<f64>, pitch_m: f64, pupil: &Pupil) -> bool {
     let at_m = |index: usize| (index as f64 - (map.ncols() as f64 - 1.0) / 2.0) * pitch_m;
     let near = Nearness { pupil, reach_m: pupil.grid.pitch_m() + pitch_m };
@@ -107,7 +112,8 @@ impl Nearness<'_> {
     }
 }
 
-/// The samples that are not known, within `most` of known ones along rows and columns, each with the index of a nearest known one.
+/// The samples that are not known, within `most` of known ones along rows and columns, each with
+/// the index of a nearest known one.
 fn nearest_known(is_known: &Array2<bool>, most: usize) -> Vec<((usize, usize), usize)> {
     let (rows, columns) = is_known.dim();
     let around = |(y, x): (usize, usize)| {
@@ -139,8 +145,8 @@ fn terms(x: f64, y: f64, half: usize) -> Array1<f64> {
     Array1::from(vec![1.0, a, b, a * a, a * b, b * b])
 }
 
-/// Coefficients of the quadratic surface through the known samples of `map` within `half` of `(y, x)`, which is known; that value alone where
-/// they do not determine one.
+/// Coefficients of the quadratic surface through the known samples of `map` within `half` of
+/// `(y, x)`, which is known; that value alone where they do not determine one.
 fn surface(map: &Array2<f64>, is_known: &Array2<bool>, (y, x): (usize, usize), half: usize) -> Array1<f64> {
     let (rows, columns) = map.dim();
     let step = (2 * half + 1).div_ceil(ACROSS);
@@ -196,7 +202,8 @@ mod tests {
                     let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
                     worst_nm = worst_nm.max((found.at(x_m, y_m) - expected.at(x_m, y_m)).abs());
                 }
-                // The focus is exact; the third order of the trefoil, 0.8 nm/m³, leaves less than 1 nm some samples from the edge.
+                // The focus is exact; the third order of the trefoil, 0.8 nm/m³, leaves less than 1
+                // nm some samples from the edge.
                 assert!(worst_nm < 1.0, "{samples} {outside}: {worst_nm} nm");
             }
         }

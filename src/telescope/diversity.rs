@@ -21,11 +21,11 @@ pub enum Diversity {
 }
 
 impl Diversity {
-    /// Diversity of `scene`: focus of the stated RMS over the pupil (weight A, zero mean, positive at the edge), or the
-    /// map of its file.
+    /// Diversity of `scene`: focus of the stated RMS over the pupil (weight A, zero mean, positive
+    /// at the edge), or the map of its file.
     ///
-    /// The RMS is computed on the finest known pupil, not on the scene's grid: on 120 and on 108 samples it differs by
-    /// 1e-4, which would appear as 0.3 nm of focus in an estimate.
+    /// The RMS is computed on the finest known pupil, not on the scene's grid: on 120 and on 108
+    /// samples it differs by 1e-4, which would appear as 0.3 nm of focus in an estimate.
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read.
@@ -49,8 +49,8 @@ impl Diversity {
         }
     }
 
-    /// Largest slope over the pupil, nm/m; it determines the size of the spot. Differences across the pupil's edge are
-    /// left out, because a map is arbitrary outside the pupil.
+    /// Largest slope over the pupil, nm/m; it determines the size of the spot. Differences across
+    /// the pupil's edge are left out, because a map is arbitrary outside the pupil.
     pub fn steepest_nm_m(&self, pupil: &Pupil) -> f64 {
         let (grid, last) = (&pupil.grid, pupil.grid.samples() - 1);
         let inside = |y: usize, x: usize| pupil.amplitude[[y, x]] > 0.0;
@@ -68,7 +68,8 @@ impl Diversity {
         steepest
     }
 
-    /// Half-width of the geometric spot of a point source, in λ over the width of the grid of `pupil`.
+    /// Half-width of the geometric spot of a point source, in λ over the width of the grid of
+    /// `pupil`.
     pub fn spot(&self, pupil: &Pupil, wavelength_nm: f64) -> f64 {
         self.steepest_nm_m(pupil) * pupil.grid.width_m() / wavelength_nm
     }
@@ -94,7 +95,8 @@ mod tests {
             diversity.at(grid.coordinate_m(x), grid.coordinate_m(y))
         });
         let mean = (&map * &pupil.amplitude).sum() / pupil.weight_sum();
-        // Moments on 700 samples have errors of a few parts in 10⁶ (1e-4 at 120, falling as the square of the pitch).
+        // Moments on 700 samples have errors of a few parts in 10⁶ (1e-4 at 120, falling as the
+        // square of the pitch).
         assert_relative_eq!(pupil.rms(map.view()).unwrap(), 1.5 * 2168.6, max_relative = 1e-5);
         assert!(mean.abs() < 1e-5 * 1.5 * 2168.6, "{mean}");
         assert!(diversity.at(5.0, 0.0) > 0.0 && diversity.at(0.0, 0.0) < 0.0);

@@ -1,4 +1,5 @@
-//! Filter of a scene with the light of its star: the wavelengths of the photons that its camera detects.
+//! Filter of a scene with the light of its star: the wavelengths of the photons that its camera
+//! detects.
 //!
 //! | scene | light |
 //! |---|---|
@@ -17,8 +18,8 @@ use super::spectrum::Spectrum;
 use crate::scene::System;
 use crate::{Error, Result};
 
-/// Largest width of a curve relative to `image.wavelength_nm`: twice that of a top hat, for a leak far from the filter. Beyond it a model
-/// would need more wavelengths than it can have.
+/// Largest width of a curve relative to `image.wavelength_nm`: twice that of a top hat, for a leak
+/// far from the filter. Beyond it a model would need more wavelengths than it can have.
 const MAX_WIDTH: f64 = 1.0;
 
 /// Light of a scene's camera. Wavelengths are ratios to `image.wavelength_nm`.
@@ -39,7 +40,8 @@ impl Filter {
     /// Filter and star of `scene`.
     ///
     /// # Errors
-    /// [`Error::File`] for `image.filter_file` if it cannot be read, is not a table, or does not pass `image.wavelength_nm`.
+    /// [`Error::File`] for `image.filter_file` if it cannot be read, is not a table, or does not
+    /// pass `image.wavelength_nm`.
     pub fn new(scene: &System) -> Result<Self> {
         let image = &scene.image;
         let (width, reference_nm) = (image.bandwidth_fraction, image.wavelength_nm);
@@ -75,7 +77,8 @@ impl Filter {
         Ok(Self { light: Light::Spectrum(spectrum, reference_nm) })
     }
 
-    /// Filter of this width relative to its wavelength, within which all wavelengths are alike; 0 for one wavelength.
+    /// Filter of this width relative to its wavelength, within which all wavelengths are alike; 0
+    /// for one wavelength.
     pub fn top_hat(width: f64) -> Self {
         Self { light: Light::TopHat(width) }
     }
@@ -93,10 +96,12 @@ impl Filter {
         }
     }
 
-    /// Width from the shortest to the longest wavelength. With it the number of wavelengths of a curve follows the rule of the top hat
-    /// (`wavelengths_to` in `band.rs`): the mean of a polynomial of degree 2K − 1 is exact for both, and the mean of what remains of cos and sin is
-    /// at most the largest remainder over that width. A width by the standard deviation is too small: with a core and wings its nodes
-    /// are spread over the wings, and for a Gaussian the mean is wrong by up to 1.
+    /// Width from the shortest to the longest wavelength. With it the number of wavelengths of a
+    /// curve follows the rule of the top hat (`wavelengths_to` in `band.rs`): the mean of a
+    /// polynomial of degree 2K − 1 is exact for both, and the mean of what remains of cos and sin
+    /// is at most the largest remainder over that width. A width by the standard deviation is too
+    /// small: with a core and wings its nodes are spread over the wings, and for a Gaussian the
+    /// mean is wrong by up to 1.
     pub fn width(&self) -> f64 {
         match &self.light {
             Light::TopHat(width) => *width,
@@ -118,8 +123,8 @@ impl Filter {
         }
     }
 
-    /// Gauss quadrature with at most `count` wavelengths, each with its share of the photons; the shares sum to 1. One wavelength is the
-    /// mean.
+    /// Gauss quadrature with at most `count` wavelengths, each with its share of the photons; the
+    /// shares sum to 1. One wavelength is the mean.
     ///
     /// # Errors
     /// [`Error::Internal`] where the eigenvalues of the quadrature do not converge.
@@ -133,8 +138,8 @@ impl Filter {
         }
     }
 
-    /// Number of wavelengths for the spot of `scene`: the error is a thousandth of the effect of the filter's width. 1 for a
-    /// monochromatic scene.
+    /// Number of wavelengths for the spot of `scene`: the error is a thousandth of the effect of
+    /// the filter's width. 1 for a monochromatic scene.
     pub(crate) fn wavelengths_needed(&self, scene: &System, telescope: &Telescope, diversity: &Diversity) -> usize {
         wavelengths_to(diversity.spot(&telescope.pupil, scene.image.wavelength_nm), self.width())
     }
@@ -158,7 +163,8 @@ mod tests {
             let diversity = Diversity::new(&scene, &telescope).unwrap();
             Filter::new(&scene).unwrap().wavelengths_needed(&scene, &telescope, &diversity)
         };
-        // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, each rounded up.
+        // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, each rounded
+        // up.
         assert_eq!(["0", "0.015", "0.05"].map(count), [1, 3, 5]);
         assert!((11..=12).contains(&count("0.2")), "{}", count("0.2"));
     }

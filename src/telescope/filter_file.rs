@@ -4,8 +4,8 @@ use crate::io::{TextTable, read_text};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Reads a text table ([`TextTable`]) of two columns: wavelength, ascending, in nm or the unit that the name of its column ends with, and
-/// relative transmission.
+/// Reads a text table ([`TextTable`]) of two columns: wavelength, ascending, in nm or the unit that
+/// the name of its column ends with, and relative transmission.
 ///
 /// # Errors
 /// [`Error::File`] with the line, for a file that cannot be read or is not such a table.

@@ -23,7 +23,8 @@ impl MapOnGrid {
         Ok(Self { values: values.mapv(|v| if v.is_finite() { v } else { 0.0 }), width_m })
     }
 
-    /// Bilinear interpolation at (x, y), m; beyond the outermost samples the value of the nearest one.
+    /// Bilinear interpolation at (x, y), m; beyond the outermost samples the value of the nearest
+    /// one.
     pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
         let n = self.values.nrows();
         let index = |c: f64| (c / self.width_m * n as f64 + (n as f64 - 1.0) / 2.0).clamp(0.0, n as f64 - 1.0);

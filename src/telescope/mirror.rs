@@ -1,4 +1,5 @@
-//! Deformable mirror of a scene: its actuators near the pupil or in its map, and influence functions from a file.
+//! Deformable mirror of a scene: its actuators near the pupil or in its map, and influence
+//! functions from a file.
 //!
 //! | Card of the file | What it says |
 //! |---|---|
@@ -16,8 +17,9 @@ use ndarray::{ArrayD, Ix2, Ix3};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Accepted medians of the peaks of influence functions, nm per nm of command: of commands in mirror surface (2) and between samples (a
-/// half), and several times these. The interaction matrix is measured with strokes that suit a peak of 1.
+/// Accepted medians of the peaks of influence functions, nm per nm of command: of commands in
+/// mirror surface (2) and between samples (a half), and several times these. The interaction matrix
+/// is measured with strokes that suit a peak of 1.
 const PEAKS: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 
 impl Telescope {
@@ -29,16 +31,19 @@ impl Telescope {
         Mirror::new(scene.mirror.actuators_across, scene.mirror.pitch_m, scene.mirror.coupling)
     }
 
-    /// Influence functions of the scene's mirror that overlap this pupil; where a file has measured functions, those of the file.
+    /// Influence functions of the scene's mirror that overlap this pupil; where a file has measured
+    /// functions, those of the file.
     ///
     /// # Errors
-    /// Those of [`Telescope::mirror`], [`Mirror::near`], [`Telescope::mapped_actuators`] and [`Telescope::measured_influence`].
+    /// Those of [`Telescope::mirror`], [`Mirror::near`], [`Telescope::mapped_actuators`] and
+    /// [`Telescope::measured_influence`].
     pub fn influence(&self, scene: &System) -> Result<InfluenceFunctions> {
         let mirror = Self::mirror(scene)?;
         let near = mirror.near(&self.pupil, Mirror::DEFAULT_MARGIN_PITCHES)?;
         let Some((path, measured)) = self.read_influence(scene)? else { return Ok(near) };
         let Some(count) = measured.count() else { return near.measured(measured) };
-        // The file has the actuators in use, which the wavefront sensor decides where there is no map of them.
+        // The file has the actuators in use, which the wavefront sensor decides where there is no
+        // map of them.
         let chosen = match Self::mapped_actuators(scene)? {
             Some(mapped) => Ok(mapped),
             None if count == near.len() => Ok(near),
@@ -53,7 +58,8 @@ impl Telescope {
         chosen.and_then(|chosen| chosen.measured(measured)).map_err(|error| Error::file(&path, error))
     }
 
-    /// Actuators of the scene's map `mirror.actuator_file`, or those whose places a file of AOT has; `None` where it names none.
+    /// Actuators of the scene's map `mirror.actuator_file`, or those whose places a file of AOT
+    /// has; `None` where it names none.
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read; those of [`Telescope::mirror`].
@@ -68,11 +74,13 @@ impl Telescope {
         found.map(Some).map_err(|error| Error::file(&path, error))
     }
 
-    /// The `actuators` in use with the functions of the scene's file; as they are where it names none.
+    /// The `actuators` in use with the functions of the scene's file; as they are where it names
+    /// none.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that cannot be read, or whose functions are not finite, 0 everywhere, of another unit than a length, far
-    /// from 1 relative to the command, narrower than the pupil, or of other actuators.
+    /// [`Error::File`] for a file that cannot be read, or whose functions are not finite, 0
+    /// everywhere, of another unit than a length, far from 1 relative to the command, narrower than
+    /// the pupil, or of other actuators.
     pub fn measured_influence(&self, scene: &System, actuators: InfluenceFunctions) -> Result<InfluenceFunctions> {
         match self.read_influence(scene)? {
             Some((path, measured)) => actuators.measured(measured).map_err(|error| Error::file(&path, error)),

@@ -1,8 +1,8 @@
-//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, pixels, deformable mirror, turbulence
-//! statistics.
+//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, pixels, deformable
+//! mirror, turbulence statistics.
 //!
-//! Simulators and estimators share this module, so that both describe the same telescope; each chooses its own
-//! sampling.
+//! Simulators and estimators share this module, so that both describe the same telescope; each
+//! chooses its own sampling.
 
 mod band;
 mod continuation;

@@ -9,8 +9,8 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::{Arc, OnceLock};
 
-/// Samples along a side of the grid on which the moments of a geometric pupil are computed: their error falls as the
-/// square of the pitch, from 1e-4 at 120 samples.
+/// Samples along a side of the grid on which the moments of a geometric pupil are computed: their
+/// error falls as the square of the pitch, from 1e-4 at 120 samples.
 const FINE_SAMPLES: usize = 960;
 /// Most samples along a side of [`Telescope::finer_pupil`].
 const MOST_FINE_SAMPLES: usize = 2048;
@@ -29,10 +29,12 @@ enum PupilSource {
 /// Telescope of a scene, on the scene's grid.
 #[derive(Debug, Clone)]
 pub struct Telescope {
-    /// Pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported, without a turn.
+    /// Pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported,
+    /// without a turn.
     pub pupil: Pupil,
     source: PupilSource,
-    /// Turn of the pupil in the images, degrees, and the turned geometry; `None` where they show the pupil as it is.
+    /// Turn of the pupil in the images, degrees, and the turned geometry; `None` where they show
+    /// the pupil as it is.
     turned: Option<(f64, Aperture)>,
     /// Amplitude that each segment reflects, relative to the mean; empty if all are equal.
     amplitudes: Vec<f64>,
@@ -46,8 +48,8 @@ impl Telescope {
     /// Builds the telescope of `scene`, reading its pupil's file if it names one.
     ///
     /// # Errors
-    /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible
-    /// one.
+    /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`]
+    /// for an impossible one.
     pub fn new(scene: &System) -> Result<Self> {
         Ok(Self { illumination: scene.pupil.illumination(), ..Self::evenly_illuminated(scene)? })
     }
@@ -109,8 +111,9 @@ impl Telescope {
         Self::of_maps(scene, width_m, amplitude, labels).map_err(|error| Error::file(path, error))
     }
 
-    /// Telescope of `scene` from the maps `[y, x]` over `width_m` of a file or of the caller's. Maps of at least twice `pupil.samples` are
-    /// averaged onto that grid and band-limited for the model; others are used on their own grid, and with `pupil.model = "hard"` all.
+    /// Telescope of `scene` from the maps `[y, x]` over `width_m` of a file or of the caller's.
+    /// Maps of at least twice `pupil.samples` are averaged onto that grid and band-limited for the
+    /// model; others are used on their own grid, and with `pupil.model = "hard"` all.
     ///
     /// # Errors
     /// Those of [`Telescope::from_maps`].
@@ -126,10 +129,12 @@ impl Telescope {
         Ok(Self { pupil, source, turned: None, amplitudes: Vec::new(), illumination, moments })
     }
 
-    /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
+    /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see
+    /// [`Pupil::from_maps`].
     ///
     /// # Errors
-    /// [`Error::Shape`] for maps that are not square with an even side, and those of [`Pupil::from_maps`].
+    /// [`Error::Shape`] for maps that are not square with an even side, and those of
+    /// [`Pupil::from_maps`].
     pub fn from_maps(width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let grid = Grid::new(even_side(&amplitude)?, width_m)?;
         let pupil = Pupil::from_maps(grid, amplitude, labels)?;
@@ -137,8 +142,9 @@ impl Telescope {
         Ok(Self { pupil, source, turned: None, amplitudes: Vec::new(), illumination: None, moments })
     }
 
-    /// This telescope with segments that reflect the given amplitudes, in any unit. The amplitudes are scaled so that
-    /// the light of the whole pupil does not change; the pupil amplitude maps are not multiplied by them.
+    /// This telescope with segments that reflect the given amplitudes, in any unit. The amplitudes
+    /// are scaled so that the light of the whole pupil does not change; the pupil amplitude maps
+    /// are not multiplied by them.
     ///
     /// # Errors
     /// [`Error::Value`] for amplitudes that are not positive, or not one for each segment.
@@ -176,13 +182,14 @@ impl Telescope {
         (cos * x + sin * y, cos * y - sin * x)
     }
 
-    /// Amplitude that each segment reflects, relative to the RMS over the pupil; empty if all are equal.
+    /// Amplitude that each segment reflects, relative to the RMS over the pupil; empty if all are
+    /// equal.
     pub fn amplitudes(&self) -> &[f64] {
         &self.amplitudes
     }
 
-    /// Multiplies `weights` on `grid` by the amplitude that each segment reflects, and by the root of the illumination, which is scaled
-    /// so that the light of the whole pupil does not change.
+    /// Multiplies `weights` on `grid` by the amplitude that each segment reflects, and by the root
+    /// of the illumination, which is scaled so that the light of the whole pupil does not change.
     fn reflected(&self, mut weights: SegmentWeights, grid: &Grid) -> SegmentWeights {
         if !self.amplitudes.is_empty() {
             for (weight, &segment) in weights.weight.iter_mut().zip(&weights.segment) {
@@ -218,7 +225,8 @@ impl Telescope {
         !matches!(self.source, PupilSource::Coarse)
     }
 
-    /// Pupil on another grid: exact from geometry, averaged from a fine map; a coarse map exists on its own grid only.
+    /// Pupil on another grid: exact from geometry, averaged from a fine map; a coarse map exists on
+    /// its own grid only.
     ///
     /// # Errors
     /// [`Error::Value`] for a coarse map and another grid.
@@ -245,8 +253,8 @@ impl Telescope {
         }
     }
 
-    /// Default number of samples a side for a truth: 8 times the scene's for an exact geometry, those of the map for a
-    /// fine or coarse map.
+    /// Default number of samples a side for a truth: 8 times the scene's for an exact geometry,
+    /// those of the map for a fine or coarse map.
     pub fn truth_samples(&self) -> usize {
         match &self.source {
             PupilSource::Exact(_) => 8 * self.pupil.grid.samples(),
@@ -255,7 +263,8 @@ impl Telescope {
         }
     }
 
-    /// Segments on a grid up to eight times as fine as the scene's, as far as they are known on one and it stays small.
+    /// Segments on a grid up to eight times as fine as the scene's, as far as they are known on one
+    /// and it stays small.
     ///
     /// # Errors
     /// Those of [`Telescope::pupil_on`].
@@ -271,8 +280,8 @@ impl Telescope {
         }
     }
 
-    /// Means of r² and of r⁴ over the finest pupil, weighted by its amplitude, m² and m⁴. That pupil is drawn once: a search for the optics
-    /// needs them several times for each trial.
+    /// Means of r² and of r⁴ over the finest pupil, weighted by its amplitude, m² and m⁴. That
+    /// pupil is drawn once: a search for the optics needs them several times for each trial.
     pub(super) fn moments(&self) -> Result<[f64; 2]> {
         if let Some(moments) = self.moments.get() {
             return Ok(*moments);
@@ -286,7 +295,8 @@ impl Telescope {
         Ok(*self.moments.get_or_init(|| [mean / weight, square / weight]))
     }
 
-    /// Pupil on the finest known grid; exact geometry on a grid on which its moments have errors of about 1e-6.
+    /// Pupil on the finest known grid; exact geometry on a grid on which its moments have errors of
+    /// about 1e-6.
     fn finest_pupil(&self) -> Result<Pupil> {
         match &self.source {
             PupilSource::Exact(_) => self.pupil_on(Grid::new(FINE_SAMPLES, self.pupil.grid.width_m())?),
@@ -300,8 +310,8 @@ impl Telescope {
         self.turned.as_ref().map_or(aperture, |(_, turned)| turned)
     }
 
-    /// Weights of the segments in the samples of `grid` of the pupil in the images without a low pass: by exact area for a known geometry,
-    /// by the owner of each sample for a map.
+    /// Weights of the segments in the samples of `grid` of the pupil in the images without a low
+    /// pass: by exact area for a known geometry, by the owner of each sample for a map.
     ///
     /// # Errors
     /// As [`Telescope::pupil_on`].
@@ -369,8 +379,8 @@ fn even_side(amplitude: &Array2<f64>) -> Result<usize> {
     Ok(rows)
 }
 
-/// Averages a fine map onto a coarser grid with the same axis. A sample belongs to the segment with the largest area in
-/// it.
+/// Averages a fine map onto a coarser grid with the same axis. A sample belongs to the segment with
+/// the largest area in it.
 fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
     let n = grid.samples();
     let cell = |j: usize| {
@@ -386,7 +396,8 @@ fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
             *areas[v * n + u].entry(label).or_default() += a;
         }
     }
-    // If fine cells do not tile a coarse one exactly, their sum can exceed 1 by a fraction of a cell.
+    // If fine cells do not tile a coarse one exactly, their sum can exceed 1 by a fraction of a
+    // cell.
     amplitude.mapv_inplace(|a| a.min(1.0));
     let owner = |areas: &std::collections::BTreeMap<i32, f64>| {
         areas.iter().filter(|(_, a)| **a > 0.0).max_by(|a, b| a.1.total_cmp(b.1)).map_or(-1, |(label, _)| *label)

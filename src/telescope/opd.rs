@@ -1,4 +1,5 @@
-//! Maps of the optical path difference (OPD) from FITS files, in the convention of POPPY and STPSF (WebbPSF).
+//! Maps of the optical path difference (OPD) from FITS files, in the convention of POPPY and STPSF
+//! (WebbPSF).
 //!
 //! | Card | What it says |
 //! |---|---|
@@ -6,9 +7,10 @@
 //! | `GRID_M`, else `PUPLSCAL`, else `PIXELSCL` | width of the map; distance of its samples, m |
 //! | `S01PISTN`, `S01XTILT`, `S01YTILT`, … | piston and tilts of each segment, m, that the map does **not** hold |
 //!
-//! STPSF writes the cards of the segments where it has taken their pistons and tilts out of the map (`remove_piston_tip_tilt` of
-//! `stpsf.opds.OTE_Linear_Model_WSS`). With r half of a segment's extent along x, about its centre, they are the coefficients of 1, y/r (a
-//! tilt about x) and x/r (a tilt about y), those of `poppy.zernike.hexike_basis_wss`.
+//! STPSF writes the cards of the segments where it has taken their pistons and tilts out of the map
+//! (`remove_piston_tip_tilt` of `stpsf.opds.OTE_Linear_Model_WSS`). With r half of a segment's
+//! extent along x, about its centre, they are the coefficients of 1, y/r (a tilt about x) and x/r
+//! (a tilt about y), those of `poppy.zernike.hexike_basis_wss`.
 
 use super::continuation::continued;
 use super::map_on_grid::MapOnGrid;
@@ -26,7 +28,8 @@ pub struct OpdMap {
     pub values_nm: Array2<f64>,
     /// Width of the map, m; `None` where its file does not say it.
     pub width_m: Option<f64>,
-    /// Piston, XTILT and YTILT of each segment that are not in the map, nm; empty without such cards.
+    /// Piston, XTILT and YTILT of each segment that are not in the map, nm; empty without such
+    /// cards.
     pub segments_nm: Vec<[f64; 3]>,
 }
 
@@ -37,8 +40,8 @@ impl OpdMap {
     /// Reads the first map of the FITS file `path`, or that of the HDU in brackets behind its name.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that cannot be read, a map that is not square, a unit that is no length, a width that is not positive,
-    /// and cards of segments with a gap between them.
+    /// [`Error::File`] for a file that cannot be read, a map that is not square, a unit that is no
+    /// length, a width that is not positive, and cards of segments with a gap between them.
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = FitsReader::open(path)?;
         let nm = unit_nm(&mut file)?;
@@ -68,17 +71,20 @@ impl OpdMap {
         MapOnGrid::new(self.values_nm.clone(), self.width_m.unwrap_or(width_m))
     }
 
-    /// As [`OpdMap::on_width`] of the grid of `pupil`, with what the map does not have beyond the edge continued from inside.
+    /// As [`OpdMap::on_width`] of the grid of `pupil`, with what the map does not have beyond the
+    /// edge continued from inside.
     ///
     /// # Errors
-    /// [`Error::Value`] for a map that is narrower than the pupil: its cards have another unit, or it is one of another telescope.
+    /// [`Error::Value`] for a map that is narrower than the pupil: its cards have another unit, or
+    /// it is one of another telescope.
     pub fn over(&self, pupil: &Pupil) -> Result<MapOnGrid> {
         let width_m = self.width_m.unwrap_or(pupil.grid.width_m());
         check_width(width_m, pupil)?;
         MapOnGrid::new(continued(&self.values_nm, width_m, pupil), width_m)
     }
 
-    /// Pistons and slopes of the segments of `pupil` that are not in the map; `None` without cards of segments.
+    /// Pistons and slopes of the segments of `pupil` that are not in the map; `None` without cards
+    /// of segments.
     ///
     /// # Errors
     /// [`Error::Value`] for another number of segments.
@@ -97,11 +103,12 @@ impl OpdMap {
     }
 }
 
-/// Least RMS of a wavefront in nm that is believed where nothing names its unit: no telescope is as flat.
+/// Least RMS of a wavefront in nm that is believed where nothing names its unit: no telescope is as
+/// flat.
 const LEAST_RMS_NM: f64 = 0.5;
 
-/// The unit that wavefronts without one are likely in, as part of a sentence, where their RMS is too small for nm; `None` for a plausible one
-/// and for 0.
+/// The unit that wavefronts without one are likely in, as part of a sentence, where their RMS is
+/// too small for nm; `None` for a plausible one and for 0.
 pub fn likely_unit(values_nm: impl Iterator<Item = f64>) -> Option<String> {
     let known = values_nm.filter(|value| value.is_finite() && *value != 0.0);
     let (sum, count) = known.fold((0.0, 0usize), |(sum, count), value| (sum + value * value, count + 1));
@@ -114,7 +121,8 @@ pub fn likely_unit(values_nm: impl Iterator<Item = f64>) -> Option<String> {
     Some(format!("the RMS of the values as nm is {rms_nm:.2e}{}", likely.unwrap_or_default()))
 }
 
-/// Remark on a map of the scene's diversity whose file does not say its unit; `None` for other scenes.
+/// Remark on a map of the scene's diversity whose file does not say its unit; `None` for other
+/// scenes.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, or whose unit is no length.

@@ -8,8 +8,8 @@ use crate::{Error, Result};
 /// Place of a segment: what identifies it on another numbering than ours.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentPlace {
-    /// Number, from 0: ring by ring from the innermost, within a ring counter-clockwise from +x; by ascending label for a pupil from a
-    /// file.
+    /// Number, from 0: ring by ring from the innermost, within a ring counter-clockwise from +x; by
+    /// ascending label for a pupil from a file.
     pub number: usize,
     /// Ring, 0 for a central segment; `None` for a pupil from a file.
     pub ring: Option<usize>,
@@ -61,7 +61,8 @@ impl SegmentPlace {
         }
     }
 
-    /// Columns `SEGMENT`, `RING` (−1 where it has none), `LABEL` (numbers, or text where one is a word), `X_M` and `Y_M` of a table.
+    /// Columns `SEGMENT`, `RING` (−1 where it has none), `LABEL` (numbers, or text where one is a
+    /// word), `X_M` and `Y_M` of a table.
     pub fn columns(places: &[Self]) -> Vec<Column> {
         vec![
             Column::i64("SEGMENT", places.iter().map(|place| place.number as i64).collect()),

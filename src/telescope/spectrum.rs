@@ -1,4 +1,5 @@
-//! Spectrum of the photons that a camera detects: transmission of its filter times the star's photons, and Gauss quadrature of it.
+//! Spectrum of the photons that a camera detects: transmission of its filter times the star's
+//! photons, and Gauss quadrature of it.
 
 use super::band::gauss_legendre;
 use crate::Result;
@@ -10,21 +11,26 @@ const RADIATION_CONSTANT_NM_K: f64 = 1.438_776_877e7;
 
 /// Faint ends of a spectrum are left out as far as each is below this part of the largest value,
 const FAINT: f64 = 1e-3;
-/// and holds no more than this part of the photons. Together both ends then change no mean over the spectrum of a quantity of modulus 1 by
-/// more than twice their sum, 1e-3: what [`super::band::wavelengths_to`] allows. Without the limit on the photons a leak of 5e-4 over 20
-/// times the width of the filter, 1 % of the light, would be lost; without that on the transmission sharp ends would be.
+/// and holds no more than this part of the photons. Together both ends then change no mean over the
+/// spectrum of a quantity of modulus 1 by more than twice their sum, 1e-3: what
+/// [`super::band::wavelengths_to`] allows. Without the limit on the photons a leak of 5e-4 over 20
+/// times the width of the filter, 1 % of the light, would be lost; without that on the transmission
+/// sharp ends would be.
 const FAINT_SHARE: f64 = 2.5e-4;
 
-/// Nodes in addition to those which make the integral of a polynomial over a linear piece exact, for Planck's law: n nodes integrate
-/// e^(ct), t from −1 to 1, with a relative error of about 2²ⁿ⁺¹ n!⁴ c²ⁿ / ((2n + 1) (2n)!³), 1e-13 for n = 8 and c = 2,
+/// Nodes in addition to those which make the integral of a polynomial over a linear piece exact,
+/// for Planck's law: n nodes integrate e^(ct), t from −1 to 1, with a relative error of about 2²ⁿ⁺¹
+/// n!⁴ c²ⁿ / ((2n + 1) (2n)!³), 1e-13 for n = 8 and c = 2,
 const MORE_NODES: usize = 8;
-/// which is this change of the logarithm of the star's photons; pieces over which it changes by more are divided.
+/// which is this change of the logarithm of the star's photons; pieces over which it changes by
+/// more are divided.
 const LARGEST_CHANGE: f64 = 4.0;
 
 /// Least share of a wavelength: rounding of the eigenvectors' squares.
 const LEAST_SHARE: f64 = f64::EPSILON;
 
-/// Photons for each wavelength: linear between rows of wavelength and transmission, 0 outside, times those of a black body.
+/// Photons for each wavelength: linear between rows of wavelength and transmission, 0 outside,
+/// times those of a black body.
 #[derive(Debug, Clone)]
 pub(super) struct Spectrum {
     /// Wavelength, nm, ascending, and transmission.
@@ -33,8 +39,9 @@ pub(super) struct Spectrum {
 }
 
 impl Spectrum {
-    /// The spectrum behind a filter of these rows (wavelength in nm, ascending, and relative transmission of a photon), of a star of
-    /// this temperature or with the same number of photons for each wavelength. Its faint ends are left out.
+    /// The spectrum behind a filter of these rows (wavelength in nm, ascending, and relative
+    /// transmission of a photon), of a star of this temperature or with the same number of photons
+    /// for each wavelength. Its faint ends are left out.
     pub(super) fn new(rows: Vec<(f64, f64)>, star_temperature_k: Option<f64>) -> Self {
         let whole = Self { rows, star_temperature_k };
         let legendre = gauss_legendre(MORE_NODES);
@@ -67,29 +74,33 @@ impl Spectrum {
         [self.rows[0].0, self.rows[self.rows.len() - 1].0]
     }
 
-    /// Gauss quadrature of the spectrum with `count` nodes: wavelengths, nm, ascending, with their shares of the photons. The shares are
-    /// positive and sum to 1. With all nodes, the mean of a polynomial of degree 2·`count` − 1 over the spectrum is exact; nodes whose
-    /// share is rounding are left out.
+    /// Gauss quadrature of the spectrum with `count` nodes: wavelengths, nm, ascending, with their
+    /// shares of the photons. The shares are positive and sum to 1. With all nodes, the mean of a
+    /// polynomial of degree 2·`count` − 1 over the spectrum is exact; nodes whose share is rounding
+    /// are left out.
     ///
-    /// The polynomials that are orthonormal with respect to the spectrum, ⟨pᵢ pⱼ⟩ = δᵢⱼ with ⟨·⟩ the mean over its photons, have a
-    /// recurrence with three terms,
+    /// The polynomials that are orthonormal with respect to the spectrum, ⟨pᵢ pⱼ⟩ = δᵢⱼ with ⟨·⟩
+    /// the mean over its photons, have a recurrence with three terms,
     ///
     /// ```text
     /// bₖ₊₁ pₖ₊₁ = (x − aₖ) pₖ − bₖ pₖ₋₁      aₖ = ⟨x pₖ²⟩      bₖ₊₁ = the norm of the right side
     /// ```
     ///
-    /// and the nodes are the eigenvalues of the symmetric tridiagonal matrix of diagonal a and off-diagonal b, the shares the squares of
-    /// the first components of its eigenvectors (Golub & Welsch, Math. Comp. 23, 1969). The means are sums over Gauss-Legendre nodes of
-    /// each piece, which are exact for the products of a linear piece and a polynomial (the discretised Stieltjes procedure: Gautschi,
-    /// Orthogonal Polynomials, 2004, section 2.2). x is from −1 to 1 over the spectrum, where the recurrence is stable.
+    /// and the nodes are the eigenvalues of the symmetric tridiagonal matrix of diagonal a and
+    /// off-diagonal b, the shares the squares of the first components of its eigenvectors (Golub &
+    /// Welsch, Math. Comp. 23, 1969). The means are sums over Gauss-Legendre nodes of each piece,
+    /// which are exact for the products of a linear piece and a polynomial (the discretised
+    /// Stieltjes procedure: Gautschi, Orthogonal Polynomials, 2004, section 2.2). x is from −1 to 1
+    /// over the spectrum, where the recurrence is stable.
     ///
     /// # Errors
     /// [`crate::Error::Internal`] where the eigenvalues do not converge.
     pub(super) fn quadrature(&self, count: usize) -> Result<Vec<(f64, f64)>> {
         let [shortest_nm, longest_nm] = self.range_nm();
         let (middle_nm, half_nm) = ((shortest_nm + longest_nm) / 2.0, (longest_nm - shortest_nm) / 2.0);
-        // pₖ² times a linear function is of degree 2·count: count + 1 nodes. Twice as many, because the recurrence over a discrete set
-        // loses its orthogonality where there are not many more points than nodes.
+        // pₖ² times a linear function is of degree 2·count: count + 1 nodes. Twice as many, because
+        // the recurrence over a discrete set loses its orthogonality where there are not many more
+        // points than nodes.
         let legendre = gauss_legendre(2 * count + MORE_NODES);
         let pieces = (1..self.rows.len()).flat_map(|piece| self.points_of(piece, &legendre));
         let (x, photons): (Vec<f64>, Vec<f64>) =
@@ -124,8 +135,8 @@ impl Spectrum {
         Ok(kept.into_iter().map(|(x, share)| (middle_nm + half_nm * x, share / sum)).collect())
     }
 
-    /// Wavelengths, nm, within the piece that ends at this row, at these Gauss-Legendre nodes, and the photons that each stands for; none of a dark
-    /// piece.
+    /// Wavelengths, nm, within the piece that ends at this row, at these Gauss-Legendre nodes, and
+    /// the photons that each stands for; none of a dark piece.
     fn points_of(&self, piece: usize, legendre: &[(f64, f64)]) -> Vec<(f64, f64)> {
         let ((from_nm, from), (to_nm, to)) = (self.rows[piece - 1], self.rows[piece]);
         if from == 0.0 && to == 0.0 {
@@ -146,13 +157,15 @@ impl Spectrum {
         (0..parts as usize).flat_map(each).map(point).collect()
     }
 
-    /// Wavelength at which the photons of the star are 1, nm: the longest with transmission, where exponents are smallest.
+    /// Wavelength at which the photons of the star are 1, nm: the longest with transmission, where
+    /// exponents are smallest.
     fn reference_nm(&self) -> f64 {
         self.rows.iter().rev().find(|(_, transmission)| *transmission > 0.0).map_or(1.0, |(nm, _)| *nm)
     }
 
-    /// Photons of the star for each wavelength at `nm`, relative to those at `reference_nm`: Planck's law of the radiance,
-    /// λ⁻⁵/(e^(hc/λkT) − 1), over the energy of a photon, hc/λ. With exponents of −x so that none overflows.
+    /// Photons of the star for each wavelength at `nm`, relative to those at `reference_nm`:
+    /// Planck's law of the radiance, λ⁻⁵/(e^(hc/λkT) − 1), over the energy of a photon, hc/λ. With
+    /// exponents of −x so that none overflows.
     fn star(&self, nm: f64, reference_nm: f64) -> f64 {
         let Some(temperature_k) = self.star_temperature_k else { return 1.0 };
         let exponent = |nm: f64| RADIATION_CONSTANT_NM_K / (nm * temperature_k);
@@ -176,7 +189,8 @@ mod tests {
         vec![(1850.0, 0.1), (1900.0, 0.9), (2010.0, 0.6), (2020.0, 0.0), (2030.0, 0.0), (2150.0, 0.7), (2180.0, 0.05)]
     }
 
-    /// Mean of the same over the curve, piece by piece, in closed form: with x along the piece, transmission c + s·x.
+    /// Mean of the same over the curve, piece by piece, in closed form: with x along the piece,
+    /// transmission c + s·x.
     fn exact(rows: &[(f64, f64)], degree: i32) -> f64 {
         let sum = |degree: i32| -> f64 {
             let piece = |pair: &[(f64, f64)]| {
@@ -200,7 +214,8 @@ mod tests {
             assert!(nodes.iter().all(|(nm, share)| *share > 0.0 && (1850.0..2180.0).contains(nm)));
             for degree in 0..2 * count as i32 {
                 let (found, exact) = (moment(&nodes, degree), exact(&curve(), degree));
-                // Rounding of a symmetric eigenvalue problem and of sums of some hundred terms; |x| ≤ 1.
+                // Rounding of a symmetric eigenvalue problem and of sums of some hundred terms; |x|
+                // ≤ 1.
                 assert!((found - exact).abs() < 1e-13, "{count} {degree}: {found} {exact}");
             }
         }
@@ -213,7 +228,8 @@ mod tests {
             for count in [1, 2, 3, 7, 20, 60, 120] {
                 let (found, known) = (spectrum.quadrature(count).unwrap(), band(0.2, count));
                 for ((nm, share), (ratio, known)) in found.into_iter().zip(known) {
-                    // As above; the share of an eigenvector grows in its error with the number of nodes.
+                    // As above; the share of an eigenvector grows in its error with the number of
+                    // nodes.
                     assert!(
                         (nm / 2000.0 - ratio).abs() < 1e-13 && (share - known).abs() < 1e-13,
                         "{count} {nm} {share} {known}"

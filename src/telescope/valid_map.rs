@@ -1,12 +1,14 @@
-//! Maps of the subapertures or actuators in use: text with lines of 0s and 1s, smallest y first, or a FITS image.
+//! Maps of the subapertures or actuators in use: text with lines of 0s and 1s, smallest y first, or
+//! a FITS image.
 
 use crate::io::{FitsReader, TextRow, TextTable, is_fits, read_text};
 use crate::modes::marked_cells;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Reads the marked cells `row·across + column`, ascending. In a FITS image, which may be named in brackets behind the file, cells above 0
-/// are marked; where it has negative values, which AOT's maps have outside, those from 0 on.
+/// Reads the marked cells `row·across + column`, ascending. In a FITS image, which may be named in
+/// brackets behind the file, cells above 0 are marked; where it has negative values, which AOT's
+/// maps have outside, those from 0 on.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read or is not such a map.

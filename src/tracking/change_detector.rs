@@ -1,14 +1,17 @@
-//! Detector of steps that are too small for a single estimate to show: generalised likelihood ratio over a window of innovations.
+//! Detector of steps that are too small for a single estimate to show: generalised likelihood ratio
+//! over a window of innovations.
 //!
-//! Innovations are white while the model holds. A step of mode j by δ at the first of the last L estimates adds δ·vⱼ to each of them
-//! (less what the filter has followed), and twice the log-likelihood ratio of the most likely step is
+//! Innovations are white while the model holds. A step of mode j by δ at the first of the last L
+//! estimates adds δ·vⱼ to each of them (less what the filter has followed), and twice the
+//! log-likelihood ratio of the most likely step is
 //!
 //! ```text
 //! T_j(L) = (Σ vⱼᵀ S⁻¹ ν)² / Σ vⱼᵀ S⁻¹ vⱼ   ~ χ²(1),       of all modes together  T(L) = |Σ L⁻¹ν|²/L   ~ χ²(m)
 //! ```
 //!
-//! A change is declared where T exceeds its threshold for any L from [`WINDOWS`] (Willsky & Jones 1976, IEEE Trans. Autom. Control 21, 108,
-//! with the window of Lai 1995, J. R. Stat. Soc. B 57, 613). One estimate alone declares none: an outlier is rejected before it comes here.
+//! A change is declared where T exceeds its threshold for any L from [`WINDOWS`] (Willsky & Jones
+//! 1976, IEEE Trans. Autom. Control 21, 108, with the window of Lai 1995, J. R. Stat. Soc. B 57,
+//! 613). One estimate alone declares none: an outlier is rejected before it comes here.
 
 use super::bytes::{ByteReader, Writer, damaged};
 use super::steps::ModeStep;
@@ -49,12 +52,14 @@ pub(super) struct ChangeDetector {
 pub(super) enum Alarm {
     /// Of one segment mode.
     Mode(ModeStep),
-    /// Of no single mode: root of the sum of the squares of all steps, nm, its error bar, and the statistic.
+    /// Of no single mode: root of the sum of the squares of all steps, nm, its error bar, and the
+    /// statistic.
     All(f64, f64, f64),
 }
 
 impl ChangeDetector {
-    /// Detectors of single segment modes and one of all modes, which have `components`; each raises so many false alarms with an estimate.
+    /// Detectors of single segment modes and one of all modes, which have `components`; each raises
+    /// so many false alarms with an estimate.
     pub(super) fn new(components: usize, false_alarms_per_step: f64) -> Self {
         Self {
             window: VecDeque::with_capacity(WINDOWS[1]),
@@ -65,7 +70,8 @@ impl ChangeDetector {
         }
     }
 
-    /// Looks for steps in so many components from now on: white innovations have nothing in the others.
+    /// Looks for steps in so many components from now on: white innovations have nothing in the
+    /// others.
     pub(super) fn look_in(&mut self, components: usize) {
         if components != self.components {
             self.components = components;
@@ -78,7 +84,8 @@ impl ChangeDetector {
         self.window.clear();
     }
 
-    /// The innovation of an accepted estimate; `white_steps`: steps of 1 nm of each segment mode, white. `gain` as in [`Scores`].
+    /// The innovation of an accepted estimate; `white_steps`: steps of 1 nm of each segment mode,
+    /// white. `gain` as in [`Scores`].
     pub(super) fn push(&mut self, time_s: f64, white: Array1<f64>, white_steps: &Array2<f64>, gain: Array1<f64>) {
         if self.window.len() == WINDOWS[1] {
             self.window.pop_front();
@@ -118,14 +125,16 @@ impl ChangeDetector {
             return Some((Alarm::Mode(self.step(mode, length, statistic)), since_s(length)));
         }
         let (statistic, length) = best_all?;
-        // In units of the innovations' error bars, whose root mean square over the modes is that of the information.
+        // In units of the innovations' error bars, whose root mean square over the modes is that of
+        // the information.
         let unit_nm = (newest.information.len() as f64 / newest.information.sum().max(f64::MIN_POSITIVE)).sqrt();
         let error_nm = unit_nm / (length as f64).sqrt();
         let excess = (statistic - self.components as f64).max(0.0).sqrt();
         Some((Alarm::All(excess * error_nm, error_nm, statistic), since_s(length)))
     }
 
-    /// The step of `mode` at the first of the last `length` estimates: least squares with what the filter left of it in each innovation.
+    /// The step of `mode` at the first of the last `length` estimates: least squares with what the
+    /// filter left of it in each innovation.
     fn step(&self, mode: usize, length: usize, statistic: f64) -> ModeStep {
         let (mut score, mut information, mut left) = (0.0, 0.0, 1.0);
         for scores in self.window.iter().skip(self.window.len() - length) {

@@ -1,16 +1,22 @@
-//! Coordinates of the observed subspace: the directions whose covariance is not zero, and that no image has of its own.
+//! Coordinates of the observed subspace: the directions whose covariance is not zero, and that no
+//! image has of its own.
 //!
-//! Pistons are reported about their mean, so that their covariance has no part along it. The pointing is another matter: each image has its own,
-//! known to a tenth of a nanometre and unrelated to that of the next. It is a nuisance whose prior is flat: a covariance R + κ·T·Tᵀ with
-//! κ → ∞ for the directions T of tip and tilt, which is the same as to use the part of the estimate that is orthogonal to T, exactly, and
-//! no more is lost. A staircase of pistons is not along T where the modes hold a smooth tilt besides: it is observed as before.
+//! Pistons are reported about their mean, so that their covariance has no part along it. The
+//! pointing is another matter: each image has its own, known to a tenth of a nanometre and
+//! unrelated to that of the next. It is a nuisance whose prior is flat: a covariance R + κ·T·Tᵀ
+//! with κ → ∞ for the directions T of tip and tilt, which is the same as to use the part of the
+//! estimate that is orthogonal to T, exactly, and no more is lost. A staircase of pistons is not
+//! along T where the modes hold a smooth tilt besides: it is observed as before.
 //!
-//! Estimates, filter and likelihood live in the subspace orthogonal to all such directions, in which every covariance is positive definite:
+//! Estimates, filter and likelihood live in the subspace orthogonal to all such directions, in
+//! which every covariance is positive definite:
 //!
 //! - that of the segment modes is spanned by the eigenvectors of the first estimate's covariance;
-//! - that of the NCPA modes by vectors as near to single modes as they can be, because modes may drift by rates of their own.
+//! - that of the NCPA modes by vectors as near to single modes as they can be, because modes may
+//!   drift by rates of their own.
 //!
-//! Both are orthonormal, so that a drift that is white among the modes of either stays white: Vᵀ·Q·V = diag(rate²).
+//! Both are orthonormal, so that a drift that is white among the modes of either stays white:
+//! Vᵀ·Q·V = diag(rate²).
 
 use super::bytes::{ByteReader, Writer};
 use crate::modes::symmetric_eigen;
@@ -18,7 +24,8 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use std::ops::Range;
 
-/// Variance of a direction, over the largest one, below which it is not observed: rounding leaves some 1e-15.
+/// Variance of a direction, over the largest one, below which it is not observed: rounding leaves
+/// some 1e-15.
 const UNOBSERVED: f64 = 1e-10;
 
 /// Orthonormal basis of the observed subspace.
@@ -124,7 +131,8 @@ impl Coordinates {
     }
 }
 
-/// Eigenvectors of the covariance of some modes, without the part along the directions `left_out`, whose variance is not zero; as columns.
+/// Eigenvectors of the covariance of some modes, without the part along the directions `left_out`,
+/// whose variance is not zero; as columns.
 fn observed(covariance_nm2: &Array2<f64>, left_out: impl Iterator<Item = Array1<f64>>) -> Result<Array2<f64>> {
     let mut projector = Array2::<f64>::eye(covariance_nm2.nrows());
     for direction in left_out {
@@ -147,7 +155,8 @@ fn observed(covariance_nm2: &Array2<f64>, left_out: impl Iterator<Item = Array1<
     Ok(vectors.select(Axis(1), &places))
 }
 
-/// Another orthonormal basis of the space that `vectors` span: single axes as far as they are in it, the nearest first.
+/// Another orthonormal basis of the space that `vectors` span: single axes as far as they are in
+/// it, the nearest first.
 fn near_axes(vectors: &Array2<f64>) -> Array2<f64> {
     let (size, count) = vectors.dim();
     // What of the space the vectors that are found do not span.

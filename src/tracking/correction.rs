@@ -1,14 +1,16 @@
-//! Which modes are worth correcting, and by how much: gain, deadband, stroke limits, and no correction that is expected to do harm.
+//! Which modes are worth correcting, and by how much: gain, deadband, stroke limits, and no
+//! correction that is expected to do harm.
 //!
-//! With an estimate m of the errors x, m ~ N(x, P), a correction c(m) changes the squared error in the metric M by
+//! With an estimate m of the errors x, m ~ N(x, P), a correction c(m) changes the squared error in
+//! the metric M by
 //!
 //! ```text
 //! E|x|² − E|x − c|² = E[ mᵀMm − |m − c|² − 2·tr(M A P) ],   A = ∂c/∂m,
 //! ```
 //!
-//! Stein's unbiased estimate of risk (Stein 1981, Ann. Stat. 9, 1135): what it gains less the error bars that it writes into the mirror. A
-//! block (segments, or NCPA, of error bars that are alike) whose gain is not positive, beyond the scatter that noise alone gives it, is left as
-//! it is.
+//! Stein's unbiased estimate of risk (Stein 1981, Ann. Stat. 9, 1135): what it gains less the error
+//! bars that it writes into the mirror. A block (segments, or NCPA, of error bars that are alike)
+//! whose gain is not positive, beyond the scatter that noise alone gives it, is left as it is.
 
 use super::threshold::normal_cdf;
 use crate::linear_algebra::SpdInverse;
@@ -18,7 +20,8 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Standard deviations by which the expected drop must exceed 0: noise alone is sent in some 2 % of cases.
+/// Standard deviations by which the expected drop must exceed 0: noise alone is sent in some 2 % of
+/// cases.
 const SURE: f64 = 3.0;
 
 /// Ratio of error bars within a block.
@@ -103,15 +106,16 @@ pub struct Correction {
     pub held: Vec<HeldMode>,
     /// Segment modes that are cut at the stroke limit.
     pub limited: Vec<usize>,
-    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by that convention), and of the NCPA modes, nm²; 0
-    /// where the block is held.
+    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by that
+    /// convention), and of the NCPA modes, nm²; 0 where the block is held.
     pub expected_drop_nm2: [f64; 2],
 }
 
 /// The correction of `errors` by `policy`.
 ///
 /// # Errors
-/// [`Error::Value`] for a policy out of range and for edges without pistons; [`Error::Shape`] for arrays that do not fit.
+/// [`Error::Value`] for a policy out of range and for edges without pistons; [`Error::Shape`] for
+/// arrays that do not fit.
 pub fn correction(policy: &CorrectionPolicy, errors: &Correctable<'_>) -> Result<Correction> {
     policy.check()?;
     errors.check()?;
@@ -201,8 +205,9 @@ impl Block<'_, '_> {
         let rest_nm = &estimate_nm - &moves_nm;
         let written_nm2 = self.metric.dot(&derivative).dot(&covariance_nm2).diag().sum();
         let gained_nm2 = estimate_nm.dot(&self.metric.dot(&estimate_nm)) - rest_nm.dot(&self.metric.dot(&rest_nm));
-        // For modes without an error: with m in error bars, A the probability of |m| > k, and φ the normal density, the step of c at ±k has a
-        // derivative of mean 2·k·φ, and the gain m² − 2 of those beyond k the mean square E[(m² − 2)²] = 3·A + 2·φ·(k³ + 3·k) − 8·k·φ.
+        // For modes without an error: with m in error bars, A the probability of |m| > k, and φ the
+        // normal density, the step of c at ±k has a derivative of mean 2·k·φ, and the gain m² − 2
+        // of those beyond k the mean square E[(m² − 2)²] = 3·A + 2·φ·(k³ + 3·k) − 8·k·φ.
         let (gain, k) = (self.policy.gain, self.policy.deadband_sigma);
         let density = (-k * k / 2.0).exp() / (2.0 * PI).sqrt();
         let square = 6.0 * normal_cdf(-k) + 2.0 * density * (k.powi(3) + 3.0 * k) - 8.0 * k * density;
@@ -218,8 +223,8 @@ impl Block<'_, '_> {
         Ok(Moves { moves_nm, drop_nm2, is_sure: drop_nm2 > SURE * scatter_nm4.max(0.0).sqrt(), limited })
     }
 
-    /// A = ∂c/∂m. By least squares the gain on what moves; by the edges, for the moved modes F and the others H with the Laplacian L, the
-    /// steps are least where L_FF·(m − c)_F + L_FH·m_H = 0.
+    /// A = ∂c/∂m. By least squares the gain on what moves; by the edges, for the moved modes F and
+    /// the others H with the Laplacian L, the steps are least where L_FF·(m − c)_F + L_FH·m_H = 0.
     fn derivative(&self) -> Result<Array2<f64>> {
         let count = self.modes.len();
         let gain = self.policy.gain;
@@ -234,7 +239,8 @@ impl Block<'_, '_> {
         let part = |rows: &[usize], columns: &[usize]| {
             Array2::from_shape_fn((rows.len(), columns.len()), |(i, j)| self.metric[[rows[i], columns[j]]])
         };
-        // Moved segments without a neighbour that stays have no place of their own but 0, which the small part added to the diagonal gives them.
+        // Moved segments without a neighbour that stays have no place of their own but 0, which the
+        // small part added to the diagonal gives them.
         let inverse = SpdInverse::of_normal_equations(part(&moved, &moved))?.inverse;
         let towards = inverse.dot(&part(&moved, &held)) * gain;
         for ((i, j), &value) in towards.indexed_iter() {
@@ -290,8 +296,9 @@ impl Correctable<'_> {
         Ok(())
     }
 
-    /// Blocks of `modes` with error bars that are alike: a mode of three times the error bar of others scatters the squares as much as 81 of them,
-    /// so that one that is badly known would hold them all. Modes that are never corrected are in none.
+    /// Blocks of `modes` with error bars that are alike: a mode of three times the error bar of
+    /// others scatters the squares as much as 81 of them, so that one that is badly known would
+    /// hold them all. Modes that are never corrected are in none.
     fn alike(&self, modes: &[usize]) -> Vec<Vec<usize>> {
         let sigma_nm = |mode: usize| self.covariance_nm2[[mode, mode]].max(0.0).sqrt();
         let mut sorted: Vec<usize> = modes.iter().copied().filter(|mode| !self.left_modes.contains(mode)).collect();

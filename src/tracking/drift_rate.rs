@@ -1,9 +1,12 @@
-//! Rate of the drift, by maximum likelihood of the innovations: a bank of filters, one for each rate of a grid.
+//! Rate of the drift, by maximum likelihood of the innovations: a bank of filters, one for each
+//! rate of a grid.
 //!
-//! The coordinates of a block (segments, or NCPA) drift alike and independently of each other. So each member of the bank is a set of scalar
-//! filters, one a coordinate, with the diagonal of each estimate's covariance: a composite likelihood, which neglects correlations of the errors
-//! and is consistent all the same (Varin, Reid & Firth 2011, Stat. Sinica 21, 5). For segments, whose coordinates are eigenvectors of the first
-//! covariance, and unchanged covariances it is the likelihood of the block's estimates itself.
+//! The coordinates of a block (segments, or NCPA) drift alike and independently of each other. So
+//! each member of the bank is a set of scalar filters, one a coordinate, with the diagonal of each
+//! estimate's covariance: a composite likelihood, which neglects correlations of the errors and is
+//! consistent all the same (Varin, Reid & Firth 2011, Stat. Sinica 21, 5). For segments, whose
+//! coordinates are eigenvectors of the first covariance, and unchanged covariances it is the
+//! likelihood of the block's estimates itself.
 
 use super::bytes::{ByteReader, Writer, damaged};
 use super::scalar_filter::ScalarFilter;
@@ -14,8 +17,8 @@ use ndarray::{Array2, ArrayView1};
 const RATES: usize = 41;
 const LEAST_NM_PER_SQRT_HOUR: f64 = 0.1;
 const PER_DECADE: f64 = 8.0;
-/// Prior of the rate: log-normal about 10 nm/√h with a standard deviation of a decade. It decides alone before there are innovations, and weighs
-/// less than one innovation afterwards.
+/// Prior of the rate: log-normal about 10 nm/√h with a standard deviation of a decade. It decides
+/// alone before there are innovations, and weighs less than one innovation afterwards.
 const PRIOR_NM_PER_SQRT_HOUR: f64 = 10.0;
 
 /// A rate, learnt or given.
@@ -54,8 +57,8 @@ impl DriftRate {
         self.current.powi(2) * hours
     }
 
-    /// The next observation of the block, `hours` after the one before. The rate is that of the coordinates that are not `left_out`, of all
-    /// where it has none.
+    /// The next observation of the block, `hours` after the one before. The rate is that of the
+    /// coordinates that are not `left_out`, of all where it has none.
     pub(super) fn learn(
         &mut self,
         z_nm: ArrayView1<f64>,
@@ -122,7 +125,8 @@ impl Bank {
         }
     }
 
-    /// Rate of the highest posterior density, by the parabola through the best of the grid and its neighbours.
+    /// Rate of the highest posterior density, by the parabola through the best of the grid and its
+    /// neighbours.
     fn most_likely(&self, left_out: &[bool]) -> f64 {
         let prior_place = PER_DECADE * (PRIOR_NM_PER_SQRT_HOUR / LEAST_NM_PER_SQRT_HOUR).log10();
         let is_left = |at: usize| left_out.get(at).copied().unwrap_or(false);

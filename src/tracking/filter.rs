@@ -1,11 +1,13 @@
-//! Kalman filter of a random walk that is observed directly, in the [`Coordinates`](super::coordinates::Coordinates) of the observed subspace.
+//! Kalman filter of a random walk that is observed directly, in the
+//! [`Coordinates`](super::coordinates::Coordinates) of the observed subspace.
 
 use super::bytes::{ByteReader, Writer};
 use crate::Result;
 use crate::linear_algebra::CholeskyFactor;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
-/// Variance of a coordinate from which nothing is concluded, over its own: an innovation of a hundred standard deviations counts for 1e-2 of χ².
+/// Variance of a coordinate from which nothing is concluded, over its own: an innovation of a
+/// hundred standard deviations counts for 1e-2 of χ².
 const OPENED: f64 = 1e6;
 
 /// State x and its covariance P.
@@ -60,7 +62,8 @@ impl KalmanFilter {
         Ok(Innovation { factor, white })
     }
 
-    /// [`KalmanFilter::innovation`] where nothing is concluded from the coordinates `left_out`: their variance is opened, which marginalises them.
+    /// [`KalmanFilter::innovation`] where nothing is concluded from the coordinates `left_out`:
+    /// their variance is opened, which marginalises them.
     ///
     /// # Errors
     /// As [`KalmanFilter::innovation`].

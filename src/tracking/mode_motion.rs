@@ -1,37 +1,42 @@
 //! Motion of each mode by itself: whether it moves as the others of its block do, or more.
 //!
-//! The modes of a block drift alike, as a rule. Some do not: a focus that breathes with the temperature or with the air moves by several nm where
-//! the other modes rest. Each coordinate has two hypotheses,
+//! The modes of a block drift alike, as a rule. Some do not: a focus that breathes with the
+//! temperature or with the air moves by several nm where the other modes rest. Each coordinate has
+//! two hypotheses,
 //!
 //! ```text
 //! alike: the rate of the block            own: a rate of its own, and a part that is new in each image (white, of the standard deviation b),
 //! ```
 //!
-//! the second with a grid of rates and of b, each of which runs a scalar filter. Posterior probabilities follow from the likelihoods of the
-//! innovations. The filter uses the posterior means of rate² and b², so that after few images, when little is excluded, it believes little. A
-//! coordinate that is more likely unsteady than [`UNSTEADY`] is left out of the search for steps: a slow oscillation is no random walk, and what the
-//! walk does not predict of it must not be taken for a step.
+//! the second with a grid of rates and of b, each of which runs a scalar filter. Posterior
+//! probabilities follow from the likelihoods of the innovations. The filter uses the posterior
+//! means of rate² and b², so that after few images, when little is excluded, it believes little. A
+//! coordinate that is more likely unsteady than [`UNSTEADY`] is left out of the search for steps: a
+//! slow oscillation is no random walk, and what the walk does not predict of it must not be taken
+//! for a step.
 
 use super::bytes::{ByteReader, Writer, damaged};
 use super::scalar_filter::ScalarFilter;
 use crate::Result;
 use ndarray::{Array1, Array2, Axis};
 
-/// Rates, nm/√h, and standard deviations of the white part, nm: half decades. Between two of them the likelihood of a hundred images changes
-/// by what one image shows.
+/// Rates, nm/√h, and standard deviations of the white part, nm: half decades. Between two of them
+/// the likelihood of a hundred images changes by what one image shows.
 const RATES_NM_PER_SQRT_HOUR: [f64; 7] = [0.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
 const WHITE_NM: [f64; 7] = [0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0];
 const CELLS: usize = RATES_NM_PER_SQRT_HOUR.len() * WHITE_NM.len();
 /// Probability that a mode has a motion of its own, before there are images.
 const PRIOR_OWN: f64 = 0.1;
-/// Probability of more motion than that of the block, from which on a coordinate is left out of the search for steps: of coordinates that move
-/// alike one in a hundred reaches it at any time (Ville's inequality: odds of 9 in 1 from 1 in 9).
+/// Probability of more motion than that of the block, from which on a coordinate is left out of the
+/// search for steps: of coordinates that move alike one in a hundred reaches it at any time
+/// (Ville's inequality: odds of 9 in 1 from 1 in 9).
 const UNSTEADY: f64 = 0.9;
 
 /// The motions of some coordinates.
 #[derive(Debug, Clone)]
 pub(super) struct ModeMotion {
-    /// Of the grid and, last, of the block's rate: state, variance and log-likelihood, `[cell, coordinate]`.
+    /// Of the grid and, last, of the block's rate: state, variance and log-likelihood,
+    /// `[cell, coordinate]`.
     states_nm: Array2<f64>,
     variances_nm2: Array2<f64>,
     log_likelihood: Array2<f64>,
@@ -63,7 +68,8 @@ impl ModeMotion {
         }
     }
 
-    /// The next observation, `hours` after the one before; `alike` is the rate of the block, nm/√h, which has learnt it already.
+    /// The next observation, `hours` after the one before; `alike` is the rate of the block, nm/√h,
+    /// which has learnt it already.
     pub(super) fn learn(&mut self, z_nm: &Array1<f64>, variances_nm2: &Array1<f64>, hours: f64, alike: f64) {
         for number in 0..=CELLS {
             let [rate, white_nm] = if number < CELLS { cell(number) } else { [alike, 0.0] };

@@ -1,15 +1,19 @@
-//! Pointing of the star: where it was in each image, how much it moves about, and whether it went elsewhere.
+//! Pointing of the star: where it was in each image, how much it moves about, and whether it went
+//! elsewhere.
 //!
-//! The star moves from image to image, by guiding and vibration, and slowly, by flexure. How, is not known beforehand: the prediction of
-//! the next place is an exponential mean of those before, with the gain of a bank that has predicted best so far,
+//! The star moves from image to image, by guiding and vibration, and slowly, by flexure. How, is
+//! not known beforehand: the prediction of the next place is an exponential mean of those before,
+//! with the gain of a bank that has predicted best so far,
 //!
 //! ```text
 //! m ← m + K·(p − m),      scatter² = mean of |p − m|²/2,
 //! ```
 //!
-//! which is the steady state of a Kalman filter of a random walk in white noise. Innovations in units of the scatter are white, and a detector of
-//! steps (see [`change_threshold`]) tells a move from the scatter by the same rate of false alarms as the others. A scatter that is known
-//! from ν numbers has the tails of Fisher's F: a level T of χ² with two degrees of freedom becomes `ν·(exp(T/ν) − 1)`.
+//! which is the steady state of a Kalman filter of a random walk in white noise. Innovations in
+//! units of the scatter are white, and a detector of steps (see [`change_threshold`]) tells a move
+//! from the scatter by the same rate of false alarms as the others. A scatter that is known from ν
+//! numbers has the tails of Fisher's F: a level T of χ² with two degrees of freedom becomes
+//! `ν·(exp(T/ν) − 1)`.
 
 use super::bytes::{ByteReader, Writer, damaged};
 use super::change_detector::WINDOWS;
@@ -22,10 +26,11 @@ const GAINS: [f64; 6] = [0.02, 0.05, 0.1, 0.2, 0.4, 0.8];
 /// Images over which the scatter is averaged, and after how many of them a move is looked for.
 const MEMORY: f64 = 100.0;
 const LEAST: f64 = 6.0;
-/// Least scatter, nm RMS of tip or tilt: a hundredth of λ/D at 1 µm. A star that stands still, as in a laboratory, is no matter if it moves
-/// by less.
+/// Least scatter, nm RMS of tip or tilt: a hundredth of λ/D at 1 µm. A star that stands still, as
+/// in a laboratory, is no matter if it moves by less.
 const LEAST_RMS_NM: f64 = 2.0;
-/// One innovation counts for so much of the threshold at most, so that one image alone is no move, and two are.
+/// One innovation counts for so much of the threshold at most, so that one image alone is no move,
+/// and two are.
 const LARGEST_SHARE: f64 = 0.9;
 
 /// A move of the star, which persists.

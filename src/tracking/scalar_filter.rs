@@ -1,7 +1,8 @@
 //! Kalman filter of one coordinate, and the likelihood of what it observes.
 
-/// Probability that an estimate belongs to no walk: after an intervention, or a change of all modes. Such an estimate costs each rate that does
-/// not explain it the same, and moves the maximum by nothing.
+/// Probability that an estimate belongs to no walk: after an intervention, or a change of all
+/// modes. Such an estimate costs each rate that does not explain it the same, and moves the maximum
+/// by nothing.
 const INTERVENTION: f64 = 1e-3;
 /// Variance of the innovation of such an estimate, over that of usual ones.
 const INTERVENTION_SPREAD: f64 = 100.0;
@@ -13,8 +14,9 @@ pub(super) struct ScalarFilter {
 }
 
 impl ScalarFilter {
-    /// Takes an observation with an error of the variance `error_nm2`, after a walk that added `added_nm2`. The log-likelihood of its innovation,
-    /// without the constant of the normal density.
+    /// Takes an observation with an error of the variance `error_nm2`, after a walk that added
+    /// `added_nm2`. The log-likelihood of its innovation, without the constant of the normal
+    /// density.
     pub(super) fn learn(&mut self, z_nm: f64, error_nm2: f64, added_nm2: f64) -> f64 {
         let predicted_nm2 = self.variance_nm2 + added_nm2;
         let (innovation_nm, variance_nm2) = (z_nm - self.state_nm, predicted_nm2 + error_nm2);

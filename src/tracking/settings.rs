@@ -15,10 +15,11 @@ pub struct TimedEstimate<'a> {
     pub time_s: f64,
     /// Coefficients of segment modes and NCPA modes, nm.
     pub coefficients_nm: ArrayView1<'a, f64>,
-    /// Their covariance, nm², `[mode, mode]`; it may be singular, as that of pistons about their mean is.
+    /// Their covariance, nm², `[mode, mode]`; it may be singular, as that of pistons about their
+    /// mean is.
     pub covariance_nm2: ArrayView2<'a, f64>,
-    /// Where the star was in the image: tip and tilt of the whole pupil, nm RMS, with the pixels by which the image was moved before its
-    /// fit; `None` where that is not known.
+    /// Where the star was in the image: tip and tilt of the whole pupil, nm RMS, with the pixels by
+    /// which the image was moved before its fit; `None` where that is not known.
     pub pointing_nm: Option<[f64; 2]>,
 }
 
@@ -29,13 +30,16 @@ pub struct TrackerSettings {
     pub segment_modes: Range<usize>,
     /// Segment of each segment mode.
     pub segment_of_mode: Vec<usize>,
-    /// Pointing in terms of the modes: what 1 nm RMS of tip, and of tilt, of the whole pupil changes of the coefficients,
-    /// `[tip or tilt, mode]`. Each image has a pointing of its own, so that nothing is concluded from the coefficients along these
-    /// directions. No rows where the modes hold no tip and tilt.
+    /// Pointing in terms of the modes: what 1 nm RMS of tip, and of tilt, of the whole pupil
+    /// changes of the coefficients, `[tip or tilt, mode]`. Each image has a pointing of its own, so
+    /// that nothing is concluded from the coefficients along these directions. No rows where the
+    /// modes hold no tip and tilt.
     pub pointing_modes: Array2<f64>,
-    /// Drift of a segment mode: standard deviation of its change in an hour, nm; it grows with the root of the time. `None`: learnt.
+    /// Drift of a segment mode: standard deviation of its change in an hour, nm; it grows with the
+    /// root of the time. `None`: learnt.
     pub drift_segments_nm_per_sqrt_hour: Option<f64>,
-    /// The same of an NCPA mode; where it is learnt, a mode that moves more than the others has a rate of its own.
+    /// The same of an NCPA mode; where it is learnt, a mode that moves more than the others has a
+    /// rate of its own.
     pub drift_ncpa_nm_per_sqrt_hour: Option<f64>,
     /// False alarms that are accepted in a night of 8 hours, of all detectors together.
     pub false_alarms_per_night: f64,
@@ -45,7 +49,8 @@ pub struct TrackerSettings {
 
 impl TrackerSettings {
     /// # Errors
-    /// [`Error::Value`] for a number out of range, [`Error::Shape`] where the segments do not fit the modes.
+    /// [`Error::Value`] for a number out of range, [`Error::Shape`] where the segments do not fit
+    /// the modes.
     pub(super) fn check(&self) -> Result<()> {
         let named = self.segment_of_mode.len();
         if named != self.segment_modes.len() {
@@ -75,8 +80,8 @@ impl TrackerSettings {
         }
     }
 
-    /// False alarms that each detector may raise with one estimate: there is one of each segment mode, one of all modes together, and one of
-    /// the pointing.
+    /// False alarms that each detector may raise with one estimate: there is one of each segment
+    /// mode, one of all modes together, and one of the pointing.
     pub(super) fn false_alarms_per_step(&self) -> f64 {
         let per_step = self.false_alarms_per_night * self.nominal_interval_s / NIGHT_S;
         per_step / (self.segment_modes.len() as f64 + 2.0)
@@ -90,7 +95,8 @@ pub struct Change {
     pub segment: Option<usize>,
     /// The coefficient of the observation that moved; `None` as for the segment.
     pub mode: Option<usize>,
-    /// Step of the mode, nm; without a segment, root of the sum of squares of the steps of all modes.
+    /// Step of the mode, nm; without a segment, root of the sum of squares of the steps of all
+    /// modes.
     pub size_nm: f64,
     /// Its error bar, nm.
     pub size_error_nm: f64,
@@ -109,8 +115,8 @@ pub struct Change {
 pub enum TrackerVerdict {
     /// It was used.
     Accepted,
-    /// It differs from the tracked state by more than its error bars and the drift allow, and was not used. Where the next one
-    /// confirms it, both are used, and a [`Change`] says so.
+    /// It differs from the tracked state by more than its error bars and the drift allow, and was
+    /// not used. Where the next one confirms it, both are used, and a [`Change`] says so.
     Outlier {
         /// Statistic that exceeded its limit: χ² of all modes, or of the mode that differs most.
         chi2: f64,

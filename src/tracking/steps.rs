@@ -24,13 +24,15 @@ pub(super) struct Attribution {
     pub(super) rest_chi2: f64,
 }
 
-/// The most likely step of one mode in a difference that is as likely as `innovation`; `white_steps`: the steps of 1 nm, white.
+/// The most likely step of one mode in a difference that is as likely as `innovation`;
+/// `white_steps`: the steps of 1 nm, white.
 pub(super) fn most_likely_step(innovation: &Innovation, white_steps: &Array2<f64>) -> Option<ModeStep> {
     steps_in(&innovation.white.to_vec(), white_steps).max_by(|a, b| a.statistic.total_cmp(&b.statistic))
 }
 
-/// Steps of at least `threshold` that explain the difference `innovation`, one after the other, the most likely one first (orthogonal matching
-/// pursuit would fit them together; single segments of a mirror are near enough to orthogonal).
+/// Steps of at least `threshold` that explain the difference `innovation`, one after the other, the
+/// most likely one first (orthogonal matching pursuit would fit them together; single segments of a
+/// mirror are near enough to orthogonal).
 pub(super) fn attribute(innovation: &Innovation, white_steps: &Array2<f64>, threshold: f64) -> Attribution {
     let mut rest = innovation.white.to_vec();
     let mut steps: Vec<ModeStep> = Vec::new();

@@ -16,9 +16,11 @@ use ndarray::{Array1, Array2};
 /// First bytes of a state, with the version of its format.
 const MAGIC: &[u8; 8] = b"CPTRACK2";
 
-/// Kalman filter with a detector of changes: estimates in, tracked state and alarms out. See the [module](super).
+/// Kalman filter with a detector of changes: estimates in, tracked state and alarms out. See the
+/// [module](super).
 ///
-/// The cost of an estimate is that of some dense products of its modes: 1 ms for 56 modes, 0.7 s for 850 (`docs/tracking.md`).
+/// The cost of an estimate is that of some dense products of its modes: 1 ms for 56 modes, 0.7 s
+/// for 850 (`docs/tracking.md`).
 #[derive(Debug, Clone)]
 pub struct Tracker {
     settings: TrackerSettings,
@@ -31,7 +33,8 @@ impl Tracker {
     /// A tracker without a state: the first observation is it.
     ///
     /// # Errors
-    /// [`Error::Value`] for a number out of range, [`Error::Shape`] where the segments do not fit the modes.
+    /// [`Error::Value`] for a number out of range, [`Error::Shape`] where the segments do not fit
+    /// the modes.
     pub fn new(settings: TrackerSettings) -> Result<Self> {
         settings.check()?;
         Ok(Self { settings, memory: None, expected: Vec::new() })
@@ -42,12 +45,13 @@ impl Tracker {
         &self.settings
     }
 
-    /// Takes an estimate. An estimate at the time of the one before, or earlier, is used as if no time had passed. One that shows that an
-    /// expected correction was applied ([`Tracker::expect`]) moves the state by it, and is no alarm.
+    /// Takes an estimate. An estimate at the time of the one before, or earlier, is used as if no
+    /// time had passed. One that shows that an expected correction was applied
+    /// ([`Tracker::expect`]) moves the state by it, and is no alarm.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of modes, [`Error::Value`] for numbers that are not finite and for a covariance that is negative
-    /// along a direction; the state is then as before.
+    /// [`Error::Shape`] for another number of modes, [`Error::Value`] for numbers that are not
+    /// finite and for a covariance that is negative along a direction; the state is then as before.
     pub fn update(&mut self, observation: TimedEstimate<'_>) -> Result<Update> {
         self.check(&observation)?;
         let Some(memory) = &self.memory else {
@@ -136,7 +140,8 @@ impl Tracker {
         self.memory.as_ref().map(|memory| memory.coordinates.expand_covariance(&memory.filter.covariance_nm2))
     }
 
-    /// Drift of a segment mode and of an NCPA mode, nm/√h: standard deviation of the change of one coefficient in an hour.
+    /// Drift of a segment mode and of an NCPA mode, nm/√h: standard deviation of the change of one
+    /// coefficient in an hour.
     pub fn drift_nm_per_sqrt_hour(&self) -> (f64, f64) {
         match &self.memory {
             Some(memory) => memory.motion.nm_per_sqrt_hour(),
@@ -144,8 +149,8 @@ impl Tracker {
         }
     }
 
-    /// Scatter of the star's pointing about where it is expected, along each axis, nm RMS of tip or tilt; `None` before the second estimate with
-    /// a pointing.
+    /// Scatter of the star's pointing about where it is expected, along each axis, nm RMS of tip or
+    /// tilt; `None` before the second estimate with a pointing.
     pub fn pointing_rms_nm(&self) -> Option<f64> {
         self.memory.as_ref().and_then(|memory| memory.pointing.rms_nm())
     }
@@ -164,10 +169,12 @@ impl Tracker {
         writer.0
     }
 
-    /// The tracker whose [`Tracker::to_bytes`] wrote `bytes`. Rates, alarms and the interval of `settings` may differ from those of then.
+    /// The tracker whose [`Tracker::to_bytes`] wrote `bytes`. Rates, alarms and the interval of
+    /// `settings` may differ from those of then.
     ///
     /// # Errors
-    /// [`Error::Value`] for bytes of another format or version, damaged ones, and those of other segment modes.
+    /// [`Error::Value`] for bytes of another format or version, damaged ones, and those of other
+    /// segment modes.
     pub fn from_bytes(settings: TrackerSettings, bytes: &[u8]) -> Result<Self> {
         let mut tracker = Self::new(settings)?;
         let settings = &tracker.settings;

@@ -1,8 +1,9 @@
 //! Files of one module that use each other in a circle.
 //!
-//! A file uses another where a path outside its tests leads to an item that is defined there: an import, or a longer path in
-//! the code. Re-exports are followed to the definition and are no use by themselves, so that `mod.rs` counts as a file for
-//! what it defines. Methods and traits' items, which no path names, are not seen.
+//! A file uses another where a path outside its tests leads to an item that is defined there: an
+//! import, or a longer path in the code. Re-exports are followed to the definition and are no use
+//! by themselves, so that `mod.rs` counts as a file for what it defines. Methods and traits' items,
+//! which no path names, are not seen.
 
 use crate::rules::module_of;
 use crate::source::{
@@ -11,7 +12,8 @@ use crate::source::{
 use proc_macro2::{Delimiter, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A file's imports and definitions, and the paths in its code. A path that is known from the root begins with `crate`.
+/// A file's imports and definitions, and the paths in its code. A path that is known from the root
+/// begins with `crate`.
 #[derive(Debug, Default)]
 pub struct File {
     imports: Vec<Import>,
@@ -142,7 +144,8 @@ impl<'a> Package<'a> {
         Self { files, modules }
     }
 
-    /// Sets of files of one module, each of which uses all others, directly or through others of them.
+    /// Sets of files of one module, each of which uses all others, directly or through others of
+    /// them.
     pub fn cycles(&self) -> Vec<BTreeSet<String>> {
         let uses: BTreeMap<&str, BTreeSet<&str>> =
             self.files.keys().map(|file| (file.as_str(), self.used(file))).collect();
@@ -176,8 +179,9 @@ impl<'a> Package<'a> {
         used
     }
 
-    /// The file that defines what `path`, standing in `module`, names; none for a module as a whole and for other crates. A
-    /// name that no definition is seen of comes from a macro of the module's file, unless the search is `strict`.
+    /// The file that defines what `path`, standing in `module`, names; none for a module as a whole
+    /// and for other crates. A name that no definition is seen of comes from a macro of the
+    /// module's file, unless the search is `strict`.
     fn find(&self, path: &[String], module: &[&str], strict: bool, hops: usize) -> Option<&'a str> {
         if hops == 0 {
             return None;
@@ -204,7 +208,8 @@ impl<'a> Package<'a> {
                 let glob = &import.path[..import.path.len() - 1];
                 self.find(&[glob, &names[depth..]].concat(), &at, true, hops - 1)
             };
-            // A name at the beginning of a path that is not from the root may be that of another crate.
+            // A name at the beginning of a path that is not from the root may be that of another
+            // crate.
             let is_foreign = depth == 0 && path[0] != "crate";
             return globs
                 .filter(|import| !import.path[..1].contains(name))

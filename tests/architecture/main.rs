@@ -38,13 +38,15 @@ impl Package {
         Rules::parse(MAP, self.title)
     }
 
-    /// A function that says what a text, standing in a file of the package, does against the rules of the real map.
+    /// A function that says what a text, standing in a file of the package, does against the rules
+    /// of the real map.
     fn judge(&self) -> impl Fn(&str, &str) -> Vec<String> {
         let (rules, exported) = (self.rules(), self.exported());
         move |file, text| rules.violations(file, &Source::read(file, text), &exported)
     }
 
-    /// The module of each name that the package's own `lib.rs` re-exports, and the library's for those outside it.
+    /// The module of each name that the package's own `lib.rs` re-exports, and the library's for
+    /// those outside it.
     fn exported(&self) -> BTreeMap<String, String> {
         let of_library = |(name, module)| (format!("cophase::{name}"), format!("cophase::{module}"));
         let mut exported: BTreeMap<String, String> = source::exported(DOOR).into_iter().map(of_library).collect();
@@ -53,7 +55,8 @@ impl Package {
         exported
     }
 
-    /// The text of every source file outside tests, by its path under the package's sources without `.rs`.
+    /// The text of every source file outside tests, by its path under the package's sources without
+    /// `.rs`.
     fn sources(&self) -> BTreeMap<String, String> {
         let texts = texts(self.folder);
         let tests: Vec<String> = texts.iter().flat_map(|(file, text)| Source::read(file, text).test_files).collect();

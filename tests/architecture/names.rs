@@ -1,4 +1,5 @@
-//! Length of test names: at most 60 characters, so that a line of the test report names the failure and fits. Number of public names.
+//! Length of test names: at most 60 characters, so that a line of the test report names the failure
+//! and fits. Number of public names. Columns of comments.
 
 use super::source::exported;
 use super::texts;
@@ -65,4 +66,40 @@ fn public_interface_fits_a_page() {
 fn planted_public_names_are_counted() {
     let text = "mod a;\npub use a::{B, c::D};\nuse crate::E;\npub(crate) use a::F;\npub fn g() {\n    h();\n}\n";
     assert_eq!(public_names(text), 3);
+}
+
+/// Most columns of a comment.
+const COLUMNS: usize = 100;
+
+/// Lines of comments in `text` that are wider than `COLUMNS`. Tables, code and diagrams may be.
+fn wide_comments(text: &str) -> Vec<&str> {
+    let mut is_code = false;
+    let comments = text.lines().filter_map(|line| {
+        let comment = line.trim_start().strip_prefix("//")?.trim_start_matches(['/', '!', ' ']);
+        is_code ^= comment.starts_with("```");
+        Some((line, is_code || comment.starts_with('|')))
+    });
+    comments
+        .filter(|(line, may_be_wide)| !may_be_wide && line.chars().count() > COLUMNS)
+        .map(|(line, _)| line)
+        .collect()
+}
+
+#[test]
+fn comments_fit_their_columns() {
+    let mut wide = Vec::new();
+    for folder in FOLDERS {
+        for (file, text) in texts(folder) {
+            wide.extend(wide_comments(&text).into_iter().map(|line| format!("{folder}/{file}.rs: {line}")));
+        }
+    }
+    assert!(wide.is_empty(), "comments of more than {COLUMNS} columns:\n{}\n", wide.join("\n"));
+}
+
+#[test]
+fn planted_wide_comment_is_found() {
+    let (wide, fits) = ("w".repeat(COLUMNS - 3), "f".repeat(COLUMNS - 4));
+    let text =
+        format!("/// {fits}\n    // {wide}\n//! | {wide} |\n//! ```\n//! {wide}\n//! ```\n//! {wide}\nlet {wide};\n");
+    assert_eq!(wide_comments(&text), [format!("    // {wide}"), format!("//! {wide}")]);
 }

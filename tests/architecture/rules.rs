@@ -14,14 +14,16 @@ pub struct Module {
     uses: Names,
 }
 
-/// The tables of one package. A place is a module, or the start of a path under `src` where it holds a slash: `imaging/gpu`
-/// is `imaging/gpu.rs`, `imaging/gpu_batch.rs` and all of `imaging/gpu/`.
+/// The tables of one package. A place is a module, or the start of a path under `src` where it
+/// holds a slash: `imaging/gpu` is `imaging/gpu.rs`, `imaging/gpu_batch.rs` and all of
+/// `imaging/gpu/`.
 #[derive(Debug, Default)]
 pub struct Rules {
     pub modules: BTreeMap<String, Module>,
     /// Places, and the modules that they may use besides those of their own module's row.
     exceptions: Vec<(Names, Names)>,
-    /// Names from outside the crate, and items of its modules, and the only places where they may stand.
+    /// Names from outside the crate, and items of its modules, and the only places where they may
+    /// stand.
     pub confined: Vec<(Names, Names)>,
     /// Crates that the library must not depend on.
     pub absent: Names,
@@ -49,8 +51,9 @@ fn quoted(cell: &str) -> Names {
 }
 
 impl Rules {
-    /// `package` ends the titles of the package's own tables: nothing for the library, " of the program" for the program. In
-    /// "Modules" the head of a column names the crate whose modules the column lists; the package's own crate has no name there.
+    /// `package` ends the titles of the package's own tables: nothing for the library, " of the
+    /// program" for the program. In "Modules" the head of a column names the crate whose modules
+    /// the column lists; the package's own crate has no name there.
     pub fn parse(markdown: &str, package: &str) -> Self {
         let mut rules = Self::default();
         let mut section = "";
@@ -129,7 +132,8 @@ impl Rules {
             .filter(|name| !self.modules.contains_key(*name))
             .map(|name| format!("the map names the module `{name}`, which has no row"))
             .collect();
-        // Take away the modules that use none of those left, until nothing changes: what stays uses itself in a circle.
+        // Take away the modules that use none of those left, until nothing changes: what stays uses
+        // itself in a circle.
         loop {
             let left: BTreeSet<&str> = arrows.keys().copied().collect();
             arrows.retain(|_, uses| uses.iter().any(|used| left.contains(used)));
@@ -143,8 +147,8 @@ impl Rules {
         faults
     }
 
-    /// What `file` does against the rules; one sentence each. `exported` gives the module of each name that a `lib.rs`
-    /// re-exports, both with their crate where it is another package's.
+    /// What `file` does against the rules; one sentence each. `exported` gives the module of each
+    /// name that a `lib.rs` re-exports, both with their crate where it is another package's.
     pub fn violations(&self, file: &str, source: &Source, exported: &BTreeMap<String, String>) -> Vec<String> {
         let module = module_of(file);
         let mut violations = Vec::new();

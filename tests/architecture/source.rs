@@ -1,5 +1,5 @@
-//! What a source file names, by its tokens: comments and strings do not count, macro calls do, `#[cfg(test)]` items do
-//! not.
+//! What a source file names, by its tokens: comments and strings do not count, macro calls do,
+//! `#[cfg(test)]` items do not.
 
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
@@ -7,11 +7,13 @@ use std::collections::{BTreeMap, BTreeSet};
 /// What a file names.
 #[derive(Debug, Default)]
 pub struct Source {
-    /// Names at the root of the crate that a path leads to: `crate::grid::Grid` and, from `pupil/mod.rs`, `super::grid` give
-    /// `grid`. A glob of the root gives `*`, the root itself `self`. Those of another package of the workspace have its crate
-    /// with them: `cophase_view::plot`.
+    /// Names at the root of the crate that a path leads to: `crate::grid::Grid` and, from
+    /// `pupil/mod.rs`, `super::grid` give `grid`. A glob of the root gives `*`, the root itself
+    /// `self`. Those of another package of the workspace have its crate with them:
+    /// `cophase_view::plot`.
     pub uses: BTreeSet<String>,
-    /// First names of all other paths, so those of other crates; `extern "C"`; and items of the crate's modules, as `scene::Scene`.
+    /// First names of all other paths, so those of other crates; `extern "C"`; and items of the
+    /// crate's modules, as `scene::Scene`.
     pub outside: BTreeSet<String>,
     /// Files declared as `#[cfg(test)] mod name;`: their paths under `src`, without `.rs`.
     pub test_files: Vec<String>,
@@ -65,8 +67,8 @@ impl Source {
         }
     }
 
-    /// Follows the path at `at`, whose beginning has led to a module `depth` levels below the root. `owner` precedes the names
-    /// of another package.
+    /// Follows the path at `at`, whose beginning has led to a module `depth` levels below the root.
+    /// `owner` precedes the names of another package.
     fn follow(&mut self, tokens: &[TokenTree], at: usize, depth: usize, owner: &str) {
         match tokens.get(at) {
             Some(TokenTree::Ident(name)) => match name.to_string().as_str() {
@@ -140,7 +142,8 @@ pub fn module_of(file: &str) -> Vec<&str> {
     path.split('/').filter(|name| !name.is_empty()).collect()
 }
 
-/// The module of each name that the door, `lib.rs`, re-exports: `pub use error::{Error, Result}` gives `Error → error`.
+/// The module of each name that the door, `lib.rs`, re-exports: `pub use error::{Error, Result}`
+/// gives `Error → error`.
 pub fn exported(door: &str) -> BTreeMap<String, String> {
     let tokens = trees(door.parse().expect("lib.rs does not parse"));
     let mut exported = BTreeMap::new();
@@ -194,7 +197,8 @@ fn after_colons(tokens: &[TokenTree], at: usize) -> bool {
     at >= 2 && is_punct(tokens.get(at - 2), ':') && is_punct(tokens.get(at - 1), ':')
 }
 
-/// Whether the name at `at` is a later part of a path, or a method; `::ocl` begins a path, and so does `..ocl`.
+/// Whether the name at `at` is a later part of a path, or a method; `::ocl` begins a path, and so
+/// does `..ocl`.
 pub fn continues_a_path(tokens: &[TokenTree], at: usize) -> bool {
     let before = |steps: usize| at.checked_sub(steps).and_then(|at| tokens.get(at));
     let named = at >= 3 && ident(tokens, at - 3).is_some_and(|name| name != "use");
@@ -207,7 +211,8 @@ fn is_imported(tokens: &[TokenTree], at: usize) -> bool {
     at >= 1 && matches!(ident(tokens, at - 1).as_deref(), Some("use" | "crate"))
 }
 
-/// Whether `extern` before `token` speaks C: `extern "C"`, `extern "C-unwind"`, and `extern fn` or `extern {` for short.
+/// Whether `extern` before `token` speaks C: `extern "C"`, `extern "C-unwind"`, and `extern fn` or
+/// `extern {` for short.
 fn declares_c(token: Option<&TokenTree>) -> bool {
     match token {
         Some(TokenTree::Literal(abi)) => abi.to_string().starts_with("\"C"),

@@ -1,6 +1,7 @@
 //! One version, wherever it is written.
 
-/// Where `changelog` or `header` name another version than `version`, that of `Cargo.toml`; one sentence each.
+/// Where `changelog` or `header` name another version than `version`, that of `Cargo.toml`; one
+/// sentence each.
 fn disagreements(version: &str, changelog: &str, header: &str) -> Vec<String> {
     let mut found = Vec::new();
     let headings: Vec<&str> = changelog

@@ -1,9 +1,9 @@
-//! Models, estimators, sessions and sequences from C, against the public headers alone. Each program is compiled as C99 with
-//! warnings as errors (`tests/header.rs` compiles the headers as C++17 too), checks what it can by itself, and dumps what
-//! must be the same bits in Rust.
+//! Models, estimators, sessions and sequences from C, against the public headers alone. Each
+//! program is compiled as C99 with warnings as errors (`tests/header.rs` compiles the headers as
+//! C++17 too), checks what it can by itself, and dumps what must be the same bits in Rust.
 //!
-//! `scripts/sanitize` runs these tests once more, under other flags of the compiler (`COPHASE_C_FLAGS`) and under a
-//! program that watches them (`COPHASE_C_RUNNER`).
+//! `scripts/sanitize` runs these tests once more, under other flags of the compiler
+//! (`COPHASE_C_FLAGS`) and under a program that watches them (`COPHASE_C_RUNNER`).
 
 mod estimates;
 mod golden;
@@ -20,7 +20,8 @@ fn words(variable: &str) -> Vec<String> {
     std::env::var(variable).unwrap_or_default().split_whitespace().map(String::from).collect()
 }
 
-/// Whether a tool watches the memory of the programs, which makes them slow and keeps freed memory for a while.
+/// Whether a tool watches the memory of the programs, which makes them slow and keeps freed memory
+/// for a while.
 fn is_watched() -> bool {
     !words("COPHASE_C_FLAGS").is_empty() || !words("COPHASE_C_RUNNER").is_empty()
 }
@@ -46,7 +47,8 @@ pub(super) fn compile(standard: &str, source: &Path, directory: &Path) -> PathBu
     program
 }
 
-/// A program as it is run: where cargo's own library is found, and under the runner if there is one.
+/// A program as it is run: where cargo's own library is found, and under the runner if there is
+/// one.
 pub(super) fn command(program: &Path) -> Command {
     let mut runner = words("COPHASE_C_RUNNER").into_iter();
     let mut command = match runner.next() {
@@ -75,7 +77,8 @@ fn succeeded(command: &mut Command) -> Output {
     output
 }
 
-/// Runs the program of `source` with `arguments` and then a file for its dump, which `check` is given.
+/// Runs the program of `source` with `arguments` and then a file for its dump, which `check` is
+/// given.
 fn dumps(source: &str, arguments: &[&Path], check: impl Fn(&Path)) {
     let directory = tempfile::tempdir().unwrap();
     let program = compile("-std=c99", &here().join(source), directory.path());

@@ -9,7 +9,8 @@ use std::sync::Arc;
 /// Number of frames in a dump.
 const COUNT: usize = 3;
 
-/// The scene of the tests, and one with another detector: neither its rows nor its columns are those of the image.
+/// The scene of the tests, and one with another detector: neither its rows nor its columns are
+/// those of the image.
 pub(super) fn scenes(directory: &Path) -> [PathBuf; 2] {
     let square = super::here().join("tiny.toml");
     let text = std::fs::read_to_string(&square).unwrap();
@@ -20,8 +21,9 @@ pub(super) fn scenes(directory: &Path) -> [PathBuf; 2] {
     [square, oblong]
 }
 
-/// That the dump's answers are Rust's, to the last bit. It holds, as doubles in C order: COUNT frames; their coefficients;
-/// the covariance of the first; the true coefficients; objectives and gradients there.
+/// That the dump's answers are Rust's, to the last bit. It holds, as doubles in C order: COUNT
+/// frames; their coefficients; the covariance of the first; the true coefficients; objectives and
+/// gradients there.
 pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
     let bytes = std::fs::read(dump).unwrap();
     let (values, rest) = bytes.as_chunks::<8>();
@@ -61,8 +63,9 @@ pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
 
 /// That a dump holds these numbers, to the last bit.
 ///
-/// valgrind plays a processor without the widest vector units: other routines of the libraries run there, which round
-/// otherwise, and a fit stops anywhere within its tolerance, 0.001 nm in coefficients of 25 and more.
+/// valgrind plays a processor without the widest vector units: other routines of the libraries run
+/// there, which round otherwise, and a fit stops anywhere within its tolerance, 0.001 nm in
+/// coefficients of 25 and more.
 pub(super) fn same(what: &str, dumped: &[f64], expected: &[f64]) {
     if std::env::var_os("COPHASE_C_RUNNER").is_some_and(|runner| !runner.is_empty()) {
         let largest = expected.iter().fold(0.0f64, |most, value| most.max(value.abs()));

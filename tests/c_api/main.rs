@@ -1,8 +1,9 @@
-//! The simulator from C, Python and Octave, and all else from C (`c`). Each program of the simulator provokes what can
-//! go wrong, then dumps what it shows after some frames; the dump must be what Rust sees, to the last bit.
+//! The simulator from C, Python and Octave, and all else from C (`c`). Each program of the
+//! simulator provokes what can go wrong, then dumps what it shows after some frames; the dump must
+//! be what Rust sees, to the last bit.
 //!
-//! Where a language is not installed its test says so and passes, unless `COPHASE_REQUIRE_PYTHON=1` or
-//! `COPHASE_REQUIRE_OCTAVE=1`, which `scripts/test` sets where it is, and in CI.
+//! Where a language is not installed its test says so and passes, unless `COPHASE_REQUIRE_PYTHON=1`
+//! or `COPHASE_REQUIRE_OCTAVE=1`, which `scripts/test` sets where it is, and in CI.
 
 mod c;
 
@@ -56,8 +57,8 @@ fn expected() -> Vec<u32> {
     dump.into_iter().map(f32::to_bits).collect()
 }
 
-/// Runs `command`, to which the scene, the number of frames and a file for the dump are added as arguments, and then
-/// `more`; holds the dump against Rust.
+/// Runs `command`, to which the scene, the number of frames and a file for the dump are added as
+/// arguments, and then `more`; holds the dump against Rust.
 fn dumps_the_same(mut command: Command, more: &[&Path]) {
     let directory = tempfile::tempdir().unwrap();
     let dump = directory.path().join("dump");
@@ -77,7 +78,8 @@ fn dumps_the_same(mut command: Command, more: &[&Path]) {
     assert_eq!(first, None, "{command:?}: the first value that differs");
 }
 
-/// Whether `program` runs with `arguments`; where it does not, the test is skipped, or fails if `variable` is 1 or true.
+/// Whether `program` runs with `arguments`; where it does not, the test is skipped, or fails if
+/// `variable` is 1 or true.
 fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
     let output = Command::new(program).args(arguments).output();
     let here = output.as_ref().is_ok_and(|output| output.status.success());

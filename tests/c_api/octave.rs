@@ -1,12 +1,13 @@
-//! The MATLAB package under Octave, on the library that cargo built: simulator, fits, estimates, help and examples.
+//! The MATLAB package under Octave, on the library that cargo built: simulator, fits, estimates,
+//! help and examples.
 
 use super::pipeline::prints_what_rust_finds;
 use super::{dumps_the_same, fits, here, is_here, libraries, root, session_channels, sky};
 use std::path::Path;
 use std::process::Command;
 
-/// Octave with `script`, if it is installed with mkoctfile, which comes in a package of its own. Its own files, such as a
-/// history, go into `scratch`.
+/// Octave with `script`, if it is installed with mkoctfile, which comes in a package of its own.
+/// Its own files, such as a history, go into `scratch`.
 fn octave(script: &str, scratch: &Path) -> Option<Command> {
     let required = "COPHASE_REQUIRE_OCTAVE";
     let installed = is_here("octave-cli", &["--version"], required) && is_here("mkoctfile", &["--version"], required);

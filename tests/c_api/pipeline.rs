@@ -1,5 +1,5 @@
-//! The whole pipeline in other languages prints what Rust finds: coefficients to the last bit, statuses, warnings, policy,
-//! device.
+//! The whole pipeline in other languages prints what Rust finds: coefficients to the last bit,
+//! statuses, warnings, policy, device.
 
 use super::here;
 use cophase::Control;
@@ -10,7 +10,8 @@ use ndarray::{Array1, Array2, Array3, Axis, concatenate, stack};
 use std::path::Path;
 use std::process::Command;
 
-/// Images of the scene's artificial source, with a bad pixel in the first, and a hot one in the second: an outlier.
+/// Images of the scene's artificial source, with a bad pixel in the first, and a hot one in the
+/// second: an outlier.
 fn images(scene: &Scene) -> Images {
     let mut images_e: Array3<f64> = Images::simulated(scene).unwrap().images_e;
     images_e[[0, 20, 21]] = f64::NAN;
@@ -47,8 +48,8 @@ pub(super) fn bits(value: f64) -> String {
 pub(super) const COLOURS: &str =
     "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
 
-/// Runs a program on images of `tiny.toml` with outliers, on images of two colours, and on exposures of two channels behind a loop, and
-/// compares what it prints with the estimates of Rust.
+/// Runs a program on images of `tiny.toml` with outliers, on images of two colours, and on
+/// exposures of two channels behind a loop, and compares what it prints with the estimates of Rust.
 pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
     if let Some(command) = command() {
         images_of_one_channel(command);
@@ -115,7 +116,8 @@ fn images_of_one_channel(command: Command) {
     compare(command, &scene, (&images.images_e, 3), (None, None), &found);
 }
 
-/// Runs a program on a cube with `count` images of each of `channels`, and their slopes, and compares what it prints with an estimate.
+/// Runs a program on a cube with `count` images of each of `channels`, and their slopes, and
+/// compares what it prints with an estimate.
 fn compare(
     mut command: Command,
     scene: &Scene,

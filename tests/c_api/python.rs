@@ -1,10 +1,12 @@
-//! The Python package on the library that cargo built: simulator, fits, estimates, failures, the wheel.
+//! The Python package on the library that cargo built: simulator, fits, estimates, failures, the
+//! wheel.
 
 use super::pipeline::prints_what_rust_finds;
 use super::{dumps_the_same, fits, here, is_here, libraries, library, root, session_channels, sky};
 use std::process::Command;
 
-/// `script` with the package on Python's path, if Python runs `needs`; a failure if it does not and `variable` is set.
+/// `script` with the package on Python's path, if Python runs `needs`; a failure if it does not and
+/// `variable` is set.
 fn python(script: &str, needs: &str, variable: &str) -> Option<Command> {
     python_as(&std::env::var("COPHASE_PYTHON").unwrap_or("python3".into()), script, needs, variable)
 }

@@ -17,7 +17,8 @@ fn scene(pistons_nm: &str) -> Scene {
     Scene::from_text(&format!("{}\n{COLOURS}", scene.text()), Path::new("")).unwrap()
 }
 
-/// Runs a program on a frame of each colour: of pistons within half a wavelength, and beyond, where the colours contradict each other.
+/// Runs a program on a frame of each colour: of pistons within half a wavelength, and beyond, where
+/// the colours contradict each other.
 pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
     for pistons_nm in ["60", "1000"] {
         if let Some(command) = command() {

@@ -1,4 +1,5 @@
-//! MAP estimate by Rust of the exposures that a program in another language dumped with its own estimate.
+//! MAP estimate by Rust of the exposures that a program in another language dumped with its own
+//! estimate.
 
 use super::fits;
 use cophase::pipeline::{Estimator, Images};
@@ -13,7 +14,8 @@ pub(super) fn scene() -> PathBuf {
     super::here().join("sky.toml")
 }
 
-/// That a dump holds these numbers, to the last bit; under valgrind, whose processor rounds otherwise, as many.
+/// That a dump holds these numbers, to the last bit; under valgrind, whose processor rounds
+/// otherwise, as many.
 fn same(what: &str, dumped: &[f64], expected: &[f64]) {
     if is_emulated() {
         assert_eq!(dumped.len(), expected.len(), "{what}");
@@ -26,9 +28,10 @@ fn is_emulated() -> bool {
     std::env::var_os("COPHASE_C_RUNNER").is_some_and(|runner| !runner.is_empty())
 }
 
-/// That the dump's answers are Rust's, to the last bit. It holds, as doubles in C order: COUNT frames; the slopes of each;
-/// coefficients, their error bars and covariance; maps of phasing, NCPA and the error bars of both; the error budget;
-/// corrections of segments and actuators, where these are, and those of the slopes.
+/// That the dump's answers are Rust's, to the last bit. It holds, as doubles in C order: COUNT
+/// frames; the slopes of each; coefficients, their error bars and covariance; maps of phasing, NCPA
+/// and the error bars of both; the error budget; corrections of segments and actuators, where these
+/// are, and those of the slopes.
 pub(super) fn is_that_of_rust(dump: &Path) {
     let bytes = std::fs::read(dump).unwrap();
     let (values, rest) = bytes.as_chunks::<8>();
@@ -48,7 +51,8 @@ pub(super) fn is_that_of_rust(dump: &Path) {
     let modes = found.basis.names.len();
     let coefficients_nm = next(modes);
     same("coefficients", &coefficients_nm, &found.modes.coefficients_nm);
-    // Rounded otherwise a retrieval stops somewhere else, within a fraction of what its noise leaves.
+    // Rounded otherwise a retrieval stops somewhere else, within a fraction of what its noise
+    // leaves.
     let pairs = coefficients_nm.iter().zip(&found.modes.coefficients_nm).zip(found.modes.sigma_nm());
     assert!(pairs.into_iter().all(|((dumped, here), sigma)| (dumped - here).abs() < sigma));
     same("error bars", &next(modes), &found.modes.sigma_nm());

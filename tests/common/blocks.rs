@@ -48,12 +48,13 @@ pub fn all() -> Vec<Block> {
     pages().iter().flat_map(|page| of_page(page)).filter(|block| !block.language.starts_with('{')).collect()
 }
 
-/// Command lines of `program` within the sentences and tables of all pages, between backticks, but for those with placeholders
-/// (`[--row NAME]`, `TARGET`, `N`).
+/// Command lines of `program` within the sentences and tables of all pages, between backticks, but
+/// for those with placeholders (`[--row NAME]`, `TARGET`, `N`).
 pub fn inline_commands(program: &str) -> Vec<Block> {
     let of_text = |page: String| -> Vec<Block> {
         let text = std::fs::read_to_string(Path::new(ROOT).join(&page)).unwrap();
-        // A fence is three backticks, so that what follows is between backticks and begins with its language.
+        // A fence is three backticks, so that what follows is between backticks and begins with its
+        // language.
         let spans = text.split('`').skip(1).step_by(2).map(|span| span.replace('\n', " "));
         let commands = spans.filter(|span| span.strip_prefix(program).is_some_and(|rest| rest.starts_with(' ')));
         let is_placeholder = |word: &str| word.starts_with('[') || matches!(word, "TARGET" | "N" | "I/N");

@@ -1,4 +1,5 @@
-//! The desk on which tests of a program run it, in a folder of its own. A test crate names the program in `crate::PROGRAM`.
+//! The desk on which tests of a program run it, in a folder of its own. A test crate names the
+//! program in `crate::PROGRAM`.
 
 #![allow(dead_code, reason = "not every program needs everything on the desk")]
 
@@ -9,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Seven hexagons, 21 modes: an estimate in a tenth of a second. At 64 samples and a peak SNR of 100 the model's own
-/// error is below the noise (reduced χ² 1.08).
+/// Seven hexagons, 21 modes: an estimate in a tenth of a second. At 64 samples and a peak SNR of
+/// 100 the model's own error is below the noise (reduced χ² 1.08).
 pub const SMALL: &str = "
 [pupil]
 aperture = \"hexagonal\"
@@ -76,8 +77,9 @@ impl Desk {
         command
     }
 
-    /// `mpirun -n RANKS sh -c SCRIPT` here, where `$COPHASE` is the program and `$RANK` the number of the process; `None` where
-    /// there is no mpirun, which is a failure where `COPHASE_REQUIRE_MPI=1`.
+    /// `mpirun -n RANKS sh -c SCRIPT` here, where `$COPHASE` is the program and `$RANK` the number
+    /// of the process; `None` where there is no mpirun, which is a failure where
+    /// `COPHASE_REQUIRE_MPI=1`.
     pub fn mpirun(&self, ranks: usize, script: &str) -> Option<Command> {
         let is_here = Command::new("mpirun").arg("--version").output().is_ok_and(|output| output.status.success());
         if !is_here {
@@ -111,7 +113,8 @@ impl Desk {
         serde_json::from_str(&done.out).unwrap_or_else(|error| panic!("{arguments:?}: {error}: {}", done.out))
     }
 
-    /// Runs what must fail: exit status 1, one line on stderr with each of `words`, nothing on stdout, no file made.
+    /// Runs what must fail: exit status 1, one line on stderr with each of `words`, nothing on
+    /// stdout, no file made.
     pub fn refuses(&self, arguments: &[&str], words: &[&str]) {
         let before = self.files();
         self.run(arguments).failed(arguments, words);
@@ -147,15 +150,16 @@ impl Desk {
         ["phasing", "ncpa", "wavefront"].map(|part| number(&json, &format!("{part}_residual_nm")))
     }
 
-    /// Estimates from `images`, whose residuals must agree with the error bars; gives the JSON and what stderr said.
+    /// Estimates from `images`, whose residuals must agree with the error bars; gives the JSON and
+    /// what stderr said.
     pub fn estimates_well(&self, images: &str, options: &[&str]) -> (Value, String) {
         let arguments: Vec<&str> =
             ["estimate", images, "-o", "est.fits", "--json"].iter().chain(options).copied().collect();
         let done = self.succeeds(&arguments);
         let json: Value = serde_json::from_str(&done.out).unwrap();
         let [phasing, ncpa, _] = self.residuals("est.fits", images);
-        // The RMS of some 6 and 12 normal errors exceeds its expectation by 2 less than once in a thousand draws, and
-        // the draws are fixed by the seed.
+        // The RMS of some 6 and 12 normal errors exceeds its expectation by 2 less than once in a
+        // thousand draws, and the draws are fixed by the seed.
         for (residual, sigma) in [(phasing, "phasing_sigma_nm"), (ncpa, "ncpa_sigma_nm")] {
             let bound = 2.0 * number(&json, sigma);
             assert!(residual < bound, "{images} {options:?}: {residual} nm where {bound} nm is allowed: {json}");

@@ -5,8 +5,8 @@ use cophase::device::{self, Choice};
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::ModalFitter;
 
-/// Every chain that this machine has for an estimator's model, with its name. OpenCL may be absent on a user's machine;
-/// where `COPHASE_REQUIRE_OPENCL=1` (as in CI) its absence is a failure.
+/// Every chain that this machine has for an estimator's model, with its name. OpenCL may be absent
+/// on a user's machine; where `COPHASE_REQUIRE_OPENCL=1` (as in CI) its absence is a failure.
 pub fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> {
     let optics = || estimator.model().optics.clone();
     let mut chains = vec![
@@ -28,8 +28,8 @@ pub fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> 
     chains
 }
 
-/// Checks that a message has each of `facts`, which " | " separates: keys, values, ranges, the next command. The rest of its
-/// sentence may change.
+/// Checks that a message has each of `facts`, which " | " separates: keys, values, ranges, the next
+/// command. The rest of its sentence may change.
 #[track_caller]
 pub fn assert_facts(message: &str, facts: &str) {
     let missing: Vec<&str> = facts.split(" | ").filter(|fact| !message.contains(fact)).collect();

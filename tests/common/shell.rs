@@ -14,7 +14,8 @@ while (($# > 0)) && [[ $1 != cophase && $1 != cophase-paper ]]; do shift; done
 ";
 const LAUNCHERS: [&str; 2] = ["mpirun", "srun"];
 
-/// Commands of the blocks that start nothing here. Each program of ours is tried by the tests of its own package.
+/// Commands of the blocks that start nothing here. Each program of ours is tried by the tests of
+/// its own package.
 const SILENT: [&str; 12] = [
     "cargo",
     "cc",
@@ -51,8 +52,9 @@ pub fn shell(text: &str, name: &str, program: &str, folder: &Path) -> Command {
     shell
 }
 
-/// The command lines of the program `name` in a block that are accepted, or what is refused. `accepts` is a command that ends with
-/// status 0, and says nothing on stderr, where the program `$PROGRAM` accepts its arguments.
+/// The command lines of the program `name` in a block that are accepted, or what is refused.
+/// `accepts` is a command that ends with status 0, and says nothing on stderr, where the program
+/// `$PROGRAM` accepts its arguments.
 pub fn try_lines(block: &Block, name: &str, program: &str, accepts: &str) -> Result<usize, String> {
     // A refused line goes to a file, and the block goes on, so that all are seen.
     let wrapper = format!(

@@ -1,6 +1,6 @@
-//! The installed C library, seen from outside: `make install` into temporary folders, found by pkg-config and by CMake,
-//! linked and run. What is installed is the archive that cargo built for these tests; that the shipped one is optimised
-//! across crates is for `make check-lto` to say.
+//! The installed C library, seen from outside: `make install` into temporary folders, found by
+//! pkg-config and by CMake, linked and run. What is installed is the archive that cargo built for
+//! these tests; that the shipped one is optimised across crates is for `make check-lto` to say.
 //!
 //! Where pkg-config or CMake is not installed its tests say so and pass; in CI they fail.
 #![cfg(target_os = "linux")]
@@ -107,7 +107,8 @@ fn shared_library_has_few_dependencies() {
     for tag in ["TEXTREL", "RPATH", "RUNPATH"] {
         assert!(dynamic(&library, tag).is_empty(), "{tag}");
     }
-    // No OpenCL among them: it is opened at run time. glibc before 2.34 has more files, the loader is one of them.
+    // No OpenCL among them: it is opened at run time. glibc before 2.34 has more files, the loader
+    // is one of them.
     let glibc = ["libc.", "libm.", "libdl.", "libpthread.", "librt.", "libutil.", "ld-linux", "libgcc_s."];
     let needed = dynamic(&library, "NEEDED");
     assert!(needed.iter().all(|name| glibc.iter().any(|glibc| name.starts_with(glibc))), "{needed:?}");
@@ -147,7 +148,8 @@ fn a_panic_is_caught_inside() {
         let flags = pkg_config(&tree, &["--cflags", "--libs", package]);
         compile(&tree, &root().join("tests/install/panic.c"), &flags, &program);
         let said = run(Command::new(&program).env_remove("LD_LIBRARY_PATH").env("COPHASE_FAULT", "panic"));
-        // There is no fault on demand in a release, where the call is refused for its missing frames.
+        // There is no fault on demand in a release, where the call is refused for its missing
+        // frames.
         assert_eq!(said, if cfg!(debug_assertions) { "PANIC\n" } else { "BAD_ARGUMENT\n" }, "{package}");
     }
 }

@@ -12,7 +12,8 @@ pub struct Tree {
     destdir: Option<PathBuf>,
 }
 
-/// The libraries that are linked from cargo's archive are made once, and are the same for all tests.
+/// The libraries that are linked from cargo's archive are made once, and are the same for all
+/// tests.
 static MAKE: Mutex<()> = Mutex::new(());
 
 impl Tree {
@@ -22,7 +23,8 @@ impl Tree {
         Self { prefix: folder.path().join("usr"), destdir: None, folder }.installed()
     }
 
-    /// Installs for `prefix` below a DESTDIR: a tree whose files are elsewhere than they say, as after a move.
+    /// Installs for `prefix` below a DESTDIR: a tree whose files are elsewhere than they say, as
+    /// after a move.
     pub fn stage(prefix: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         Self { prefix: prefix.into(), destdir: Some(folder.path().join("stage")), folder }.installed()

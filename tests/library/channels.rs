@@ -26,7 +26,8 @@ fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
     shown(Estimator::new(scene).unwrap().estimate(images).unwrap())
 }
 
-/// Whether the residuals are within three error bars: those of 7 pistons and some ten Zernikes exceed them once in 1,000 draws.
+/// Whether the residuals are within three error bars: those of 7 pistons and some ten Zernikes
+/// exceed them once in 1,000 draws.
 pub(crate) fn is_right(found: &Estimate) -> bool {
     let residual = &found.truth.as_ref().unwrap().1;
     residual.rms_nm[0] < 3.0 * found.figures.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.figures.ncpa.sigma_nm
@@ -44,7 +45,8 @@ fn a_pair_is_better_than_either_image_and_needs_no_order() {
     assert!(both.is_sound() && is_right(&both));
     assert_eq!((both.channels.as_slice(), both.images.len()), (&["plus".to_string(), "minus".into()][..], 2));
     assert_eq!(both.images.iter().map(|image| image.channel).collect::<Vec<_>>(), [0, 1]);
-    // Two images of one brightness: error bars are smaller by √2 where both determine a mode as well, and by more where they differ.
+    // Two images of one brightness: error bars are smaller by √2 where both determine a mode as
+    // well, and by more where they differ.
     for (images, channel) in images.iter().zip(scene.channels()) {
         let one = Estimator::new(&channel.scene).unwrap().estimate(images).unwrap();
         assert!(
@@ -128,7 +130,8 @@ fn a_channel_in_focus_is_fitted_near_the_others() {
     println!("pulls {pulls:?}, error bars of the phasing {:.3} of the pair's", gain.exp());
     // 24 draws of six pistons: a pull scatters by 1/√(2·144), 0.06.
     assert!(pulls.iter().all(|pull| (0.8..1.2).contains(pull)), "{pulls:?}");
-    // 0.82 where the third image had as much information on every mode as each of the two, 1 where it had none.
+    // 0.82 where the third image had as much information on every mode as each of the two, 1 where
+    // it had none.
     assert!((0.8..0.97).contains(&gain.exp()), "{}", gain.exp());
 }
 

@@ -1,4 +1,5 @@
-//! Checksums of written files, by the definition: FITS standard 4.0, section 4.4.2.7 and appendix J.
+//! Checksums of written files, by the definition: FITS standard 4.0, section 4.4.2.7 and appendix
+//! J.
 
 use cophase::io::{Column, ELECTRON, FitsReader, FitsWriter, Pixel};
 use ndarray::{Array2, Array3};
@@ -55,7 +56,8 @@ fn hdus(bytes: &[u8]) -> Vec<Hdu<'_>> {
     hdus
 }
 
-/// Whether each HDU has the sum of its data in DATASUM, and by CHECKSUM a sum of its own that is −0, all bits 1.
+/// Whether each HDU has the sum of its data in DATASUM, and by CHECKSUM a sum of its own that is
+/// −0, all bits 1.
 fn verify(bytes: &[u8]) -> bool {
     let is_right = |hdu: &Hdu| {
         let stated = hdu.value("DATASUM").and_then(|sum| sum.parse::<u32>().ok());

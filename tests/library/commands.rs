@@ -1,5 +1,5 @@
-//! Corrections in the terms of controllers: what moves when the commands are sent to hardware that numbers, signs and scales its
-//! channels in its own way.
+//! Corrections in the terms of controllers: what moves when the commands are sent to hardware that
+//! numbers, signs and scales its channels in its own way.
 
 use crate::common::assert_facts;
 use crate::consistency::scene;
@@ -16,7 +16,8 @@ use std::path::Path;
 
 /// Samples of the truth.
 const FINE: usize = 384;
-/// The observatory's number of each of our segments, and its volts per nm of wavefront: two segments are wired the other way.
+/// The observatory's number of each of our segments, and its volts per nm of wavefront: two
+/// segments are wired the other way.
 const OBSERVATORY: [(&str, f64); 7] =
     [("S4", 0.002), ("S7", -0.002), ("S1", 0.002), ("S6", 0.0025), ("S2", -0.0015), ("S3", 0.002), ("S5", 0.002)];
 /// True pistons, nm.
@@ -82,7 +83,8 @@ fn commands_in_volts_correct_a_permuted_mirror() {
     rows.sort_by_key(|(_, name, _)| *name);
     let line = |(number, name, scale): &(usize, &str, f64)| format!("{number} {name} {scale}\n");
     std::fs::write(folder.path().join("segments.txt"), rows.iter().map(line).collect::<String>()).unwrap();
-    // The electronics of the mirror: channel k drives actuator n − 1 − k, and its neighbour by a tenth; negative volts push.
+    // The electronics of the mirror: channel k drives actuator n − 1 − k, and its neighbour by a
+    // tenth; negative volts push.
     let telescope = Telescope::new(&scene).unwrap();
     let actuators = actuators_in_use(&scene, &telescope).unwrap().len();
     let nm_per_volt = Array2::from_shape_fn((actuators, actuators), |(actuator, channel)| {
@@ -128,8 +130,9 @@ fn commands_in_volts_correct_a_permuted_mirror() {
         after.figures.ncpa.sigma_nm
     );
     assert_eq!([before.status, after.status], [Status::Ok; 2]);
-    // What is left of the pistons is the noise of two estimates and those below their error bars; of the NCPA also what the mirror
-    // does not make: a wrong sign, order or scale of any channel leaves tens of nm.
+    // What is left of the pistons is the noise of two estimates and those below their error bars;
+    // of the NCPA also what the mirror does not make: a wrong sign, order or scale of any channel
+    // leaves tens of nm.
     assert!(after.figures.phasing.rms_nm < 5.0 * after.figures.phasing.sigma_nm, "{}", after.figures.phasing.rms_nm);
     assert!(after.figures.ncpa.rms_nm < 0.1 * before.figures.ncpa.rms_nm, "{}", after.figures.ncpa.rms_nm);
 }

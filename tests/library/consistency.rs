@@ -1,5 +1,5 @@
-//! Images against the scene of their estimate: units, contradictions, the area of pixels, and how well the noise explains the
-//! residual.
+//! Images against the scene of their estimate: units, contradictions, the area of pixels, and how
+//! well the noise explains the residual.
 
 use crate::common::assert_facts;
 use cophase::Status;
@@ -133,7 +133,8 @@ fn filter_without_the_wavelength_contradicts_the_scene() {
             assert!(error.contains(words), "{error}");
         }
     }
-    // One of two wheels that agrees is enough, and the wavelength of a card is no second contradiction.
+    // One of two wheels that agrees is enough, and the wavelength of a card is no second
+    // contradiction.
     estimate(&plain, &write(&[("FILTER1", "J".into()), ("FILTER2", "K".into())]));
     let error = refused(&plain, &write(&[("FILTER", "H".into()), ("WAVELEN", 1640.0.into())]));
     assert!(error.contains("card WAVELEN = 1640") && !error.contains("FILTER"), "{error}");
@@ -176,7 +177,8 @@ fn image_of_odd_size_loses_its_last_row_and_column() {
     let scene = scene(&[]);
     let made = Images::simulated(&scene).unwrap();
     let clean = estimate(&scene, &made);
-    // The axis stays on pixel [48, 48]; values that would ruin the estimate are in the part that is left out.
+    // The axis stays on pixel [48, 48]; values that would ruin the estimate are in the part that is
+    // left out.
     let padded = |rows: usize, columns: usize| {
         let pixel = |(_, y, x)| made.images_e.get([0, y, x]).copied().unwrap_or(1e9);
         Images::new(Array3::from_shape_fn((1, rows, columns), pixel)).in_electrons()
@@ -289,7 +291,8 @@ fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
     let pairs = misfit.modes.sigma_nm().into_iter().zip(right.modes.sigma_nm());
     let ratios: Vec<f64> = pairs.map(|(misfit, right)| misfit / right / expected).collect();
     println!("error bars over those that are expected: {ratios:.3?}");
-    // The Fisher matrix is that of another wavefront, which differs by what the companion of 2 % makes of it.
+    // The Fisher matrix is that of another wavefront, which differs by what the companion of 2 %
+    // makes of it.
     assert!(ratios.iter().all(|ratio| (0.9..1.1).contains(ratio)), "{ratios:?}");
     assert!((misfit.figures.phasing.sigma_nm / right.figures.phasing.sigma_nm / expected - 1.0).abs() < 0.1);
     assert!((misfit.figures.ncpa.sigma_nm / right.figures.ncpa.sigma_nm / expected - 1.0).abs() < 0.1);

@@ -1,4 +1,5 @@
-//! Detectors that are read by several amplifiers: an image HDU each, put together by their sections.
+//! Detectors that are read by several amplifiers: an image HDU each, put together by their
+//! sections.
 
 use cophase::io::{FitsWriter, Pixel, read_images};
 use ndarray::{Array2, s};
@@ -7,7 +8,8 @@ use ndarray::{Array2, s};
 const SHAPE: (usize, usize) = (6, 8);
 const OVERSCAN: usize = 3;
 
-/// Writes two amplifiers, of the left and right halves, the right one read from right to left, with these biases and gains.
+/// Writes two amplifiers, of the left and right halves, the right one read from right to left, with
+/// these biases and gains.
 fn write(path: &std::path::Path, counts: &Array2<f64>, bias: [f64; 2], gain: [f64; 2], right: &str) {
     let (rows, half) = (SHAPE.0, SHAPE.1 / 2);
     let mut file = FitsWriter::create(path).unwrap();

@@ -32,7 +32,8 @@ fn diversity_map_needs_no_values_outside_the_pupil() {
             let found = Estimator::new(&mapped).unwrap().estimate(&images).unwrap().modes.coefficients_nm;
             let errors_nm = found.iter().zip(&expected).map(|(found, expected)| (found - expected).abs());
             let worst_nm = errors_nm.fold(0.0f64, f64::max);
-            // Interpolation between 96 samples is off by less; an edge without values was off by 6 to 30 nm.
+            // Interpolation between 96 samples is off by less; an edge without values was off by 6
+            // to 30 nm.
             assert!(worst_nm < 1.0, "{samples} {outside:?}: {worst_nm} nm");
         }
     }

@@ -8,7 +8,8 @@ use cophase::pipeline::{Estimate, Estimator, Images, scene_files};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
 
-/// Rises slowly to the red, with a dip and a sharp edge: mean and middle differ. nm and transmission.
+/// Rises slowly to the red, with a dip and a sharp edge: mean and middle differ. nm and
+/// transmission.
 const CURVE: &str = "# nm, transmission\n2000, 0.05\n2100, 0.30\n2200, 0.55\n2230, 0.40\n2340, 0.95\n2345, 0.0\n";
 
 /// Images of a star of 4000 K through the curve, and the folder of its table.
@@ -58,7 +59,8 @@ fn one_wavelength_of_a_model_is_the_mean_of_the_photons() {
     let one = made.with(&[("estimate.wavelengths", "1")]).unwrap();
     let [broad, mean] = [&made, &one].map(model);
     let nm = |model: &Model| model.optics.parts().wavelength_nm;
-    // By the trapezoidal rule of the curve it is 2217.5 nm; the star moves it by some nm to the blue.
+    // By the trapezoidal rule of the curve it is 2217.5 nm; the star moves it by some nm to the
+    // blue.
     println!("mean {:.3} nm", nm(&mean));
     assert!(nm(&broad) == nm(&mean) && (2195.0..2217.0).contains(&nm(&mean)), "{}", nm(&mean));
     assert!(mean.optics.has_one_wavelength());

@@ -1,4 +1,5 @@
-//! FITS in, FITS out: round trips, every kind of pixel, files that need repair, malicious files, and failed writes.
+//! FITS in, FITS out: round trips, every kind of pixel, files that need repair, malicious files,
+//! and failed writes.
 
 use std::fs;
 use std::io::Write;
@@ -7,7 +8,8 @@ use std::path::{Path, PathBuf};
 use cophase::io::{Card, Column, FitsReader, FitsWriter, Pixel, read_cube, read_images, read_map};
 use ndarray::{Array1, Array2, Array3, s};
 
-// ---- Files composed byte by byte, so that the tests of the reader do not depend on our own writer ----
+// ---- Files composed byte by byte, so that the tests of the reader do not depend on our own writer
+// ----
 
 const BLOCK: usize = 2880;
 
@@ -680,13 +682,15 @@ fn finished_file_replaces_the_target_of_a_link() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
 }
 
-/// A full disk, simulated by a limit on the file size in a child process (this test again, with a variable set).
+/// A full disk, simulated by a limit on the file size in a child process (this test again, with a
+/// variable set).
 #[test]
 fn a_full_disk_leaves_the_old_file_and_nothing_else() {
     const FOLDER: &str = "COPHASE_TEST_FULL_DISK";
     if let Ok(folder) = std::env::var(FOLDER) {
         let limit = libc::rlimit { rlim_cur: 4096, rlim_max: 4096 };
-        // SAFETY: plain system calls; without the signal a write beyond the limit fails as it does on a full disk.
+        // SAFETY: plain system calls; without the signal a write beyond the limit fails as it does
+        // on a full disk.
         unsafe {
             libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
             assert_eq!(libc::setrlimit(libc::RLIMIT_FSIZE, &limit), 0);
@@ -725,7 +729,8 @@ fn real_keck_files_are_read() {
     assert_eq!(frame.non_finite, 0);
     println!("{}", frame.repaired.as_deref().unwrap_or("nothing repaired"));
     assert!(frame.repaired.is_some_and(|sentence| sentence.contains("mandatory card") && sentence.contains("byte 0")));
-    // Compared with the bytes of the file: the data of this frame start at byte 17280, as big-endian f32.
+    // Compared with the bytes of the file: the data of this frame start at byte 17280, as
+    // big-endian f32.
     let bytes = fs::read(data.join("20130801_n0004.fits")).unwrap();
     let word = |i: usize| f64::from(f32::from_be_bytes(bytes[17280 + 4 * i..][..4].try_into().unwrap()));
     for (i, &value) in frame.data.iter().enumerate() {

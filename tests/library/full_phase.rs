@@ -1,5 +1,6 @@
-//! Full-phase estimates of a small telescope: what they take of the scene, and what corrections do to the true errors behind
-//! the exposures that they were estimated from, by which their order and their sign are told.
+//! Full-phase estimates of a small telescope: what they take of the scene, and what corrections do
+//! to the true errors behind the exposures that they were estimated from, by which their order and
+//! their sign are told.
 
 use crate::common::assert_facts;
 use cophase::Control;
@@ -52,13 +53,15 @@ fn estimates_in_single_and_double_precision_agree() {
     assert_eq!((single.run.precision, double.run.precision), (Precision::F32, Precision::F64));
     let (one_nm, other_nm) = (&single.modes.coefficients_nm, &double.modes.coefficients_nm);
     assert_ne!(one_nm, other_nm);
-    // A retrieval stops within a fraction of what its noise leaves, in either precision somewhere else.
+    // A retrieval stops within a fraction of what its noise leaves, in either precision somewhere
+    // else.
     let within = |((one, other), sigma): ((&f64, &f64), f64)| (one - other).abs() < sigma;
     assert!(one_nm.iter().zip(other_nm).zip(double.modes.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
 }
 
-/// The motion of the turbulence during exposures of 30 ms, with the telescope's own errors at 0: what it leaves in the NCPA where the estimate
-/// knows the exposure, and where it takes it for an instant.
+/// The motion of the turbulence during exposures of 30 ms, with the telescope's own errors at 0:
+/// what it leaves in the NCPA where the estimate knows the exposure, and where it takes it for an
+/// instant.
 #[test]
 #[ignore = "merge: 11 s"]
 fn exposures_that_the_turbulence_blurs_leave_no_ncpa() {
@@ -109,8 +112,8 @@ fn estimates_on_cpu_and_device_agree() {
         let found = read(&scene, &images).unwrap();
         assert!(found.run.device.starts_with(&info.address()), "{}", found.run.device);
         let coefficients_nm = &found.modes.coefficients_nm;
-        // The same steps in other roundings, which grow with each: after some hundred, in three passes, 3e-4 of an error bar
-        // is seen.
+        // The same steps in other roundings, which grow with each: after some hundred, in three
+        // passes, 3e-4 of an error bar is seen.
         let parts = coefficients_nm.iter().zip(wanted_nm).zip(&sigma_nm);
         let apart = parts.map(|((a, b), sigma)| (a - b).abs() / sigma).fold(0.0, f64::max);
         println!("{info}: {apart:.1e} error bars apart");
@@ -195,7 +198,8 @@ fn a_diversity_error_outside_the_modes_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ripples.fits");
     let mut file = FitsWriter::create(&path).unwrap();
-    // 24 cycles across the grid, where the modes that ten lenslets tell apart have nine zeros across the pupil.
+    // 24 cycles across the grid, where the modes that ten lenslets tell apart have nine zeros
+    // across the pupil.
     let ripples = Array2::from_shape_fn((96, 96), |(_, x)| 1500.0 * (std::f64::consts::TAU * x as f64 / 4.0).cos());
     file.image("DIVERSITY", &ripples, Pixel::F64, "nm").unwrap();
     file.finish().unwrap();
@@ -214,7 +218,8 @@ fn a_diversity_error_outside_the_modes_is_refused() {
     }
 }
 
-/// Segments with tilts of 60 nm, twice what the turbulence of eight short exposures hides: pistons alone, the default, which adds tilts to the model, and a scene with tilts.
+/// Segments with tilts of 60 nm, twice what the turbulence of eight short exposures hides: pistons
+/// alone, the default, which adds tilts to the model, and a scene with tilts.
 #[test]
 #[ignore = "merge: 9 s"]
 fn tilts_of_segments_are_estimated_and_corrected() {
@@ -230,8 +235,9 @@ fn tilts_of_segments_are_estimated_and_corrected() {
         pupil.rms(pupil.remove_piston_tip_tilt(map).unwrap().view()).unwrap()
     };
     let left_nm = |found: &Estimate| rms_nm((&found.maps.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
-    // 67 nm left with pistons alone; 35 (added) and 38 nm (from the start) with tilts, of error bars of 29 and 34 nm: the mirror removes most
-    // of what so few segments have in common, and the common figure in the model hides a part of the rest (29 and 35 nm without one).
+    // 67 nm left with pistons alone; 35 (added) and 38 nm (from the start) with tilts, of error
+    // bars of 29 and 34 nm: the mirror removes most of what so few segments have in common, and the
+    // common figure in the model hides a part of the rest (29 and 35 nm without one).
     assert!(left_nm(&auto) < 0.6 * left_nm(&pistons) && left_nm(&tilts) < 0.6 * left_nm(&pistons));
     assert!(left_nm(&auto) < 2.0 * auto.figures.phasing.sigma_nm, "{:?}", auto.figures.phasing);
 
@@ -247,7 +253,8 @@ fn tilts_of_segments_are_estimated_and_corrected() {
     assert_eq!(auto.basis.names.len(), auto.modes.covariance_nm2.nrows());
     assert_eq!((&*auto.basis.names[7], &*auto.basis.names[20]), ("segment-00-tip", "segment-06-tilt"));
 
-    // What the corrections leave of the segments is what the estimate leaves, and what is below its error bar.
+    // What the corrections leave of the segments is what the estimate leaves, and what is below its
+    // error bar.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("corrections.fits");
     let commands = auto.corrections(None).unwrap();
@@ -285,8 +292,8 @@ fn corrections_reduce_the_true_errors() {
     let simulator = stepper.simulator();
     let (truth, pupil) = (simulator.truth(), simulator.pupil());
 
-    // With the wrong sign or in the wrong order twice as much, or 1.4 times, would be left and not less than half. The plane
-    // through the pistons stays.
+    // With the wrong sign or in the wrong order twice as much, or 1.4 times, would be left and not
+    // less than half. The plane through the pistons stays.
     let shown = |pistons_nm: &[f64]| {
         let owner = pupil.owner.mapv(|owner| if owner < 0 { f64::NAN } else { pistons_nm[owner as usize] });
         pupil.rms(pupil.remove_piston_tip_tilt(owner.view()).unwrap().view()).unwrap()
@@ -315,8 +322,9 @@ fn corrections_reduce_the_true_errors() {
     println!("NCPA of {before_nm:.1} nm, {after_nm:.1} left");
     assert!(after_nm < 0.5 * before_nm);
 
-    // The loop puts nearly the same shape on its mirror when the reference slopes are sent to it, behind turbulence that blurs the spots: twice
-    // as much where they are those of sharp spots, which would leave all of the NCPA.
+    // The loop puts nearly the same shape on its mirror when the reference slopes are sent to it,
+    // behind turbulence that blurs the spots: twice as much where they are those of sharp spots,
+    // which would leave all of the NCPA.
     let sent = SentCorrections::system(&[SentCorrections::from(&commands)], &scene).unwrap();
     let left_nm = rms_nm(sent.truth().ncpa_nm.view());
     println!("NCPA of {before_nm:.1} nm, {left_nm:.1} left by the loop");

@@ -1,4 +1,5 @@
-//! Comparison with vectors from an independent program (`tests/golden/README.md`), on every available chain.
+//! Comparison with vectors from an independent program (`tests/golden/README.md`), on every
+//! available chain.
 
 use crate::common::{chains, relative_difference};
 use cophase::Control;
@@ -87,8 +88,8 @@ fn the_bare_pupil_has_the_golden_psf() {
             assert!(error < if precision == Precision::F64 { 1e-12 } else { 2e-6 }, "{name}: {error:e}");
         }
     }
-    // Sums of 9,400 unit terms: a random walk of roundings is 1e-14 of the peak amplitude in f64; the contract's 1e-12
-    // and 2e-6 leave room for the way the golden program added up.
+    // Sums of 9,400 unit terms: a random walk of roundings is 1e-14 of the peak amplitude in f64;
+    // the contract's 1e-12 and 2e-6 leave room for the way the golden program added up.
     assert!(wide < 1e-12);
     assert!(narrow < 2e-6);
 }
@@ -102,16 +103,17 @@ fn objectives_and_gradients_are_golden() {
         for (name, mut chain) in chains(&estimator, 5) {
             chain.load(&vec![exposure.clone(); 5]).unwrap();
             let found = chain.evaluate(&[0, 1, 2, 3, 4], golden.coefficients_nm.view()).unwrap();
-            // The contract: f64 is limited by the rounding of 57,600 terms, f32 by 6e-8 of the brightest pixel against
-            // residuals of its thousandth at the truth.
+            // The contract: f64 is limited by the rounding of 57,600 terms, f32 by 6e-8 of the
+            // brightest pixel against residuals of its thousandth at the truth.
             let (objective_bound, gradient_bound) =
                 if chain.precision() == Precision::F64 { (1e-12, 1e-11) } else { (1e-5, 1e-5) };
             for (i, found) in found.iter().enumerate() {
                 let objective = (found.objective / golden.objective[i] - 1.0).abs();
                 let gradient = relative_difference(&found.gradient, golden.gradient.row(i).as_slice().unwrap());
                 println!("{name}, {key}, point {i}: objective {objective:.1e}, gradient {gradient:.1e}");
-                // The last point is the truth: there the terms of the gradient cancel to a thousandth and less, and the
-                // error in f32 is relative to the size of the terms, that of the gradient elsewhere.
+                // The last point is the truth: there the terms of the gradient cancel to a
+                // thousandth and less, and the error in f32 is relative to the size of the terms,
+                // that of the gradient elsewhere.
                 let scale = if i == 4 && chain.precision() == Precision::F32 { noise_scale(&golden) } else { 1.0 };
                 assert!(objective < objective_bound, "{name} {key} {i}: {objective:e}");
                 assert!(gradient < gradient_bound * scale, "{name} {key} {i}: {gradient:e}");
@@ -204,8 +206,9 @@ fn our_default_is_at_least_as_close_to_the_truth() {
             (mine, golden)
         });
         for (mine, golden) in residuals {
-            // Where the golden basis of 102 modes spans the truth, both errors are the noise of this one image. Twenty modes
-            // more raise it by 4 % here (√(122/102) at most), and those with a prior by as much in a bad draw.
+            // Where the golden basis of 102 modes spans the truth, both errors are the noise of
+            // this one image. Twenty modes more raise it by 4 % here (√(122/102) at most), and
+            // those with a prior by as much in a bad draw.
             assert!(mine <= 1.15 * golden, "{name}: {mine} against {golden}");
         }
     }

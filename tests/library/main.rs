@@ -1,4 +1,5 @@
-//! Tests of the library through its public API, in one program: linking is most of what a test program costs.
+//! Tests of the library through its public API, in one program: linking is most of what a test
+//! program costs.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -1,4 +1,5 @@
-//! The loop as it was measured: slopes and matrices from files, in the observatory's order, sign and units.
+//! The loop as it was measured: slopes and matrices from files, in the observatory's order, sign
+//! and units.
 
 use crate::common::assert_facts;
 use crate::full_phase::{exposures, sky};
@@ -9,7 +10,8 @@ use cophase::scene::Scene;
 use ndarray::Array2;
 use std::path::Path;
 
-/// Slopes of x and y in turn, of the opposite sign, where 1 is a quarter of a mas: the factor is exact.
+/// Slopes of x and y in turn, of the opposite sign, where 1 is a quarter of a mas: the factor is
+/// exact.
 const FORM: [(&str, &str); 2] =
     [("wavefront_sensor.slope_order", "[\"interleaved\"]"), ("wavefront_sensor.slope_unit_mas", "-0.25")];
 
@@ -56,7 +58,8 @@ fn measured_matrices_are_those_of_the_loop() {
     let folder = tempfile::tempdir().unwrap();
     let (interaction, command) = (folder.path().join("interaction.fits"), folder.path().join("command.fits"));
     let model = Simulator::new(&scene(&[])).unwrap();
-    // A command of 1 makes 50 nm; rows of the interaction matrix and columns of the command matrix are measured slopes.
+    // A command of 1 makes 50 nm; rows of the interaction matrix and columns of the command matrix
+    // are measured slopes.
     let measured = in_form(&(model.interaction().t().to_owned() * 50.0)).reversed_axes();
     write(&interaction, "INTERACTION", &measured.as_standard_layout().to_owned());
     let matrix = model.law().command_matrix();
@@ -150,7 +153,8 @@ fn slopes_relative_to_reference_slopes_are_those_that_were_seen() {
         left_nm / found.figures.ncpa.sigma_nm
     };
     let (with, without) = (left_over_sigma(&about), left_over_sigma(&scene(&FORM)));
-    // Without them the focus is taken for one of the NCPA: 4 mas in a lenslet of 0.56 m, and ten times the error bar.
+    // Without them the focus is taken for one of the NCPA: 4 mas in a lenslet of 0.56 m, and ten
+    // times the error bar.
     assert!(with < 2.5 && without > 10.0, "{with} {without}");
 
     write(&path, "REFERENCE", &Array2::zeros((1, 5)));

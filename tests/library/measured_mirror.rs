@@ -39,7 +39,8 @@ fn ringed(r_m: f64) -> f64 {
     1.4 * (-square / 0.45).exp() - 0.4 * (-square / 1.3).exp()
 }
 
-/// Function of all actuators in use, `[actuator, y, x]` on `samples` across the pupil's grid, for the distance from the actuator.
+/// Function of all actuators in use, `[actuator, y, x]` on `samples` across the pupil's grid, for
+/// the distance from the actuator.
 fn cube(samples: usize, function: fn(f64) -> f64) -> Array3<f64> {
     let places_m = Simulator::new(&scene(&[])).unwrap().influence().positions_m();
     let at_m = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * WIDTH_M / samples as f64;
@@ -78,7 +79,8 @@ fn values(influence: &InfluenceFunctions) -> Array2<f64> {
     influence.evaluate(&xs_m, &ys_m).unwrap()
 }
 
-/// Strehl ratio by Maréchal of the mean square of the residual wavefront, over 100 frames from frame 100 on.
+/// Strehl ratio by Maréchal of the mean square of the residual wavefront, over 100 frames from
+/// frame 100 on.
 fn strehl(simulator: &mut Simulator) -> f64 {
     let mut square_nm2 = 0.0;
     for frame in 0..200 {
@@ -92,8 +94,8 @@ fn strehl(simulator: &mut Simulator) -> f64 {
 fn a_sampled_gaussian_is_the_gaussian_mirror() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    // On the samples of the simulator; in µm for commands of 0.5 µm; on others, a twentieth of the pitch; one for all, with the
-    // simulator's samples among its own, and with others.
+    // On the samples of the simulator; in µm for commands of 0.5 µm; on others, a twentieth of the
+    // pitch; one for all, with the simulator's samples among its own, and with others.
     write!(&path("same.fits"), &cube(80, gaussian), "", &[]);
     write!(&path("um.fits"), &(cube(80, gaussian) * 0.5), "um", &[("GRID_M", WIDTH_M)]);
     write!(&path("fine.fits"), &cube(200, gaussian), "", &[("PUPLSCAL", WIDTH_M / 200.0)]);
@@ -103,7 +105,8 @@ fn a_sampled_gaussian_is_the_gaussian_mirror() {
     let (functions, interaction) = (values(model.influence()), model.interaction().clone());
     let expected = strehl(&mut model);
     assert!((0.3..0.95).contains(&expected), "{expected}");
-    // Bilinear interpolation errs by h²/8 times the second derivative along each axis, which is 2|ln c|/pitch² at most.
+    // Bilinear interpolation errs by h²/8 times the second derivative along each axis, which is
+    // 2|ln c|/pitch² at most.
     let bound = |h_m: f64| 2.0 * h_m * h_m / 8.0 * 2.0 * COUPLING.ln().abs() / (PITCH_M * PITCH_M);
     for (name, h_m, is_exact) in [
         ("same.fits", SAMPLE_M, true),
@@ -115,12 +118,14 @@ fn a_sampled_gaussian_is_the_gaussian_mirror() {
         let mut found = Simulator::new(&with_file(&path(name), &[("control.matrix_command_nm", "500.0")])).unwrap();
         let between = off(&values(found.influence()), &functions);
         assert!(between > 0.0 && between < 1.001 * bound(h_m), "{name}: {between:e} {:e}", bound(h_m));
-        // At its own samples a function has single precision. A slope is a difference of some samples' phases over a lenslet, a pitch,
-        // and so no larger than that of the functions with errors of the same sign; a factor of two for those of opposite signs.
+        // At its own samples a function has single precision. A slope is a difference of some
+        // samples' phases over a lenslet, a pitch, and so no larger than that of the functions with
+        // errors of the same sign; a factor of two for those of opposite signs.
         let matrix = off(found.interaction(), &interaction);
         assert!(matrix < if is_exact { 1e-5 } else { 2.0 * bound(h_m) }, "{name}: {matrix:e}");
-        // The loop sees its own mirror: the error of the functions is a loop gain lower by it, and as much of the fitted wavefront is
-        // left to the next frame. ln S changes by less than twice that, and without it by rounding over 200 frames of a stable loop.
+        // The loop sees its own mirror: the error of the functions is a loop gain lower by it, and
+        // as much of the fitted wavefront is left to the next frame. ln S changes by less than
+        // twice that, and without it by rounding over 200 frames of a stable loop.
         let apart = (strehl(&mut found).ln() / expected.ln() - 1.0).abs();
         assert!(apart < if is_exact { 1e-4 } else { 2.0 * bound(h_m) }, "{name}: {apart:e}");
     }
@@ -131,8 +136,9 @@ fn left_behind_ringed_mirror(folder: &Path, seed: u64, zernikes: &str) -> [(f64,
     let path = folder.join("ringed.fits");
     write!(&path, &cube(120, ringed), "", &[]);
     let seed = seed.to_string();
-    // The images need pupil frequencies to 42 cycles over the grid: 20 of the pixels, 14 of the defocus, 8 of aberrations. The low pass of the
-    // pupil ends 12 below the Nyquist frequency: at 28 with the scene's 8 samples across a lenslet, which biases NCPA by 1 nm, and at 48 with 12.
+    // The images need pupil frequencies to 42 cycles over the grid: 20 of the pixels, 14 of the
+    // defocus, 8 of aberrations. The low pass of the pupil ends 12 below the Nyquist frequency: at
+    // 28 with the scene's 8 samples across a lenslet, which biases NCPA by 1 nm, and at 48 with 12.
     let settings = [
         ("turbulence.seed", &seed[..]),
         ("aberrations.seed", &seed),
@@ -168,25 +174,27 @@ fn measured_mirror_estimates_are_within_their_error_bars() {
             *square += (left_nm / sigma_nm).powi(2) / DRAWS as f64;
         }
     }
-    // Some ten errors in each draw: a mean of 60 squares is known to 18 %, and the scatter of eight images, shrunk towards what all modes have
-    // in common, to 20 % in its square. Three standard deviations of both are 80 %, √1.8 = 1.34 times the error bars.
+    // Some ten errors in each draw: a mean of 60 squares is known to 18 %, and the scatter of eight
+    // images, shrunk towards what all modes have in common, to 20 % in its square. Three standard
+    // deviations of both are 80 %, √1.8 = 1.34 times the error bars.
     assert!(squares.iter().all(|square| (0.2..1.8).contains(square)), "{squares:?}");
 }
 
-/// Where NCPA extend beyond the polynomials of an estimate, modes of this mirror of few actuators are no better: they leave out a fourth of
-/// the lowest polynomials.
+/// Where NCPA extend beyond the polynomials of an estimate, modes of this mirror of few actuators
+/// are no better: they leave out a fourth of the lowest polynomials.
 #[test]
 #[ignore = "merge: 6 s"]
 fn coarse_mirror_modes_do_not_replace_missing_polynomials() {
     let folder = tempfile::tempdir().unwrap();
     let [phasing, ncpa] = left_behind_ringed_mirror(folder.path(), 4, "[4, 78]");
-    // Polynomials to order 9 hold Noll 4 to 55, and leave 13 nm; the mirror's modes leave 18: the bound is between. Errors of one draw, the RMS
-    // of some ten, scatter by 1/√20 = 22 % of the error bars: 1.3 is 1.3 standard deviations, and the draw is fixed.
+    // Polynomials to order 9 hold Noll 4 to 55, and leave 13 nm; the mirror's modes leave 18: the
+    // bound is between. Errors of one draw, the RMS of some ten, scatter by 1/√20 = 22 % of the
+    // error bars: 1.3 is 1.3 standard deviations, and the draw is fixed.
     assert!(ncpa.0 < 15.5 && ncpa.0 < 1.3 * ncpa.1 && phasing.0 < 1.3 * phasing.1, "{phasing:?} {ncpa:?}");
 }
 
-/// The mirror behind a raised segment, once the loop is at rest: the response of the loop with the file is that of the functions
-/// themselves, and with the Gaussian in their place it is another.
+/// The mirror behind a raised segment, once the loop is at rest: the response of the loop with the
+/// file is that of the functions themselves, and with the Gaussian in their place it is another.
 #[test]
 fn the_response_to_a_segment_is_that_of_the_measured_mirror() {
     let folder = tempfile::tempdir().unwrap();
@@ -229,8 +237,8 @@ fn the_response_to_a_segment_is_that_of_the_measured_mirror() {
         all += expected_nm.powi(2);
     }
     println!("{} and {} of the surface", (own / all).sqrt(), (other / all).sqrt());
-    // A fortieth of a pitch between samples: an eighth of its square times second derivatives of 6 per pitch² along both axes, 1e-3, which
-    // neighbours of either sign amplify a few times.
+    // A fortieth of a pitch between samples: an eighth of its square times second derivatives of 6
+    // per pitch² along both axes, 1e-3, which neighbours of either sign amplify a few times.
     assert!((own / all).sqrt() < 5e-3 && other > 16.0 * own, "{own} {other} {all}");
 }
 
@@ -251,8 +259,9 @@ fn modes_of_the_mirror_are_those_of_its_functions() {
         |influence: &InfluenceFunctions| cophase::modes::karhunen_loeve(influence, pupil, &turbulence, 12).unwrap();
     let gaussian = actuators_in_use(&scene(&[]), &telescope).unwrap();
     let (found, expected) = (modes(&in_use), modes(&gaussian));
-    // Interpolation on the grid of the pupil: an eighth of the square of an eighth of a pitch times the second derivatives, 1.5 % of each
-    // function; the variance of a smooth mode, a sum of many, changes by less than twice that.
+    // Interpolation on the grid of the pupil: an eighth of the square of an eighth of a pitch times
+    // the second derivatives, 1.5 % of each function; the variance of a smooth mode, a sum of many,
+    // changes by less than twice that.
     for (found, expected) in found.variances_nm2.iter().zip(&expected.variances_nm2) {
         assert!((found / expected - 1.0).abs() < 0.03, "{found} {expected}");
     }

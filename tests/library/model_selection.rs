@@ -1,4 +1,5 @@
-//! Model selection: segment tilts, Zernikes, reflectivities and shadows that the scene does not name.
+//! Model selection: segment tilts, Zernikes, reflectivities and shadows that the scene does not
+//! name.
 
 use crate::common::assert_facts;
 use crate::consistency::{scene, shown};
@@ -44,8 +45,8 @@ fn modes_are_added_where_the_scene_does_not_explain_the_images() {
 #[test]
 #[ignore = "merge: 7 s"]
 fn modes_are_added_where_a_sum_or_one_image_shows_them() {
-    // NCPA of 6 and 13 nm in Zernikes beyond those of the scene: of the first no single image shows anything, of the second the median χ² of
-    // the images is 1.4.
+    // NCPA of 6 and 13 nm in Zernikes beyond those of the scene: of the first no single image shows
+    // anything, of the second the median χ² of the images is 1.4.
     for (rms_nm, status, shows) in [("6", Status::Ok, "the sum of 30 images"), ("13", Status::Misfit, "image 1")] {
         let made = [
             ("image.count", "30"),

@@ -1,4 +1,5 @@
-//! Mode bases through the public interface: on a segmented pupil, with the deformable mirror of Keck.
+//! Mode bases through the public interface: on a segmented pupil, with the deformable mirror of
+//! Keck.
 
 use crate::common::assert_facts;
 use cophase::modes::*;
@@ -6,7 +7,8 @@ use cophase::pupil::Grid;
 use cophase::pupil::{Pupil, Segment};
 use ndarray::{Array1, Array2, Array3, Axis};
 
-/// 36 hexagons of side 0.9 m in three rings, the central one absent, 3 mm apart: amplitude by 8×8 sub-samples.
+/// 36 hexagons of side 0.9 m in three rings, the central one absent, 3 mm apart: amplitude by 8×8
+/// sub-samples.
 fn keck_like(samples: usize) -> Pupil {
     let (side_m, pitch_m) = (0.9f64, 3f64.sqrt() * 0.9 + 0.003);
     let grid = Grid::new(samples, 10.95).unwrap();
@@ -76,8 +78,8 @@ fn products(left: &SmoothBasis, right: &SmoothBasis, pupil: &Pupil) -> (Array1<f
 fn assert_orthonormal(basis: &SmoothBasis, pupil: &Pupil) {
     let (means, gram) = products(basis, basis, pupil);
     let worst = (&gram - &Array2::<f64>::eye(basis.len())).iter().chain(&means).fold(0f64, |w, e| w.max(e.abs()));
-    // After the second Cholesky pass only rounding remains: sums over 1e4 samples of a combination of some hundred functions
-    // whose coefficients reach a few hundred.
+    // After the second Cholesky pass only rounding remains: sums over 1e4 samples of a combination
+    // of some hundred functions whose coefficients reach a few hundred.
     assert!(worst < 1e-12, "worst error of the Gram matrix and the means: {worst:.1e}");
 }
 
@@ -108,8 +110,9 @@ fn zernike_modes_are_orthonormal_over_the_pupil_and_triangular() {
 
 #[test]
 fn zernike_modes_do_not_depend_on_the_disc_of_the_polynomials() {
-    // The same spans from a disc half as wide again: only rounding, amplified by that basis' poorer condition
-    // (1.5^-5 per polynomial of order 5, squared in the Gram matrix and repaired by the second pass).
+    // The same spans from a disc half as wide again: only rounding, amplified by that basis' poorer
+    // condition (1.5^-5 per polynomial of order 5, squared in the Gram matrix and repaired by the
+    // second pass).
     let pupil = keck_like(60);
     let wide = SmoothBasis::zernike(Zernikes::new(2..=21, 8.0).unwrap());
     let wide = orthonormalise(&wide, &pupil, 1e-6).unwrap().basis;
@@ -126,7 +129,8 @@ fn a_mode_is_the_same_function_on_every_grid() {
     let maps = basis.sampled(&pupil).unwrap();
     assert!(maps.groups().iter().all(|&group| group == Group::Ncpa));
     let fine = Grid::new(3 * pupil.grid.samples(), pupil.grid.width_m()).unwrap();
-    // Sample (20, 33) of the coarse grid is the centre of a 3×3 cell: sample (61, 100) of the fine one.
+    // Sample (20, 33) of the coarse grid is the centre of a 3×3 cell: sample (61, 100) of the fine
+    // one.
     let (x, y) = (fine.coordinate_m(100), fine.coordinate_m(61));
     let value = basis.evaluate(&[x], &[y]).unwrap();
     for mode in 0..basis.len() {
@@ -151,7 +155,8 @@ fn karhunen_loeve_modes_are_orthonormal_and_fall_in_variance() {
     assert_orthonormal(&kl.basis, &pupil);
     assert_eq!((kl.basis.names()[0].as_str(), kl.basis.names()[65].as_str()), ("kl-00", "kl-65"));
     assert!(kl.variances_nm2.windows(2).all(|pair| pair[0] >= pair[1]) && kl.variances_nm2[65] > 0.0);
-    // The first two are nearly tip and tilt, as on every pupil; the difference is the ripple of the mirror.
+    // The first two are nearly tip and tilt, as on every pupil; the difference is the ripple of the
+    // mirror.
     let tip_tilt = zernike_basis(2, 3, &pupil).unwrap();
     let (_, cross) = products(&tip_tilt, &kl.basis, &pupil);
     for row in cross.rows() {
@@ -161,9 +166,10 @@ fn karhunen_loeve_modes_are_orthonormal_and_fall_in_variance() {
 
 #[test]
 fn the_modes_do_not_depend_on_the_sampling_of_the_pupil() {
-    // 96 samples are used as they are, 180 are averaged to a grid of 118. The edges are accurate to a fraction of a sample,
-    // about 1 % of the area, and modes of similar variance mix: so the spans are compared, which may differ in the 66th
-    // mode, whose variance is close to that of the 67th.
+    // 96 samples are used as they are, 180 are averaged to a grid of 118. The edges are accurate to
+    // a fraction of a sample, about 1 % of the area, and modes of similar variance mix: so the
+    // spans are compared, which may differ in the 66th mode, whose variance is close to that of the
+    // 67th.
     let (coarse, fine) = (keck_like(96), keck_like(180));
     let (first, second) = (keck_kl(&coarse, 66), keck_kl(&fine, 66));
     for (a, b) in first.variances_nm2.iter().zip(&second.variances_nm2) {
@@ -176,8 +182,8 @@ fn the_modes_do_not_depend_on_the_sampling_of_the_pupil() {
 
 #[test]
 fn karhunen_loeve_modes_are_uncorrelated_in_turbulence() {
-    // By the definition, over all pairs of samples. A mirror of twice the pitch has enough samples on this grid, so the
-    // modes must be exact on it.
+    // By the definition, over all pairs of samples. A mirror of twice the pitch has enough samples
+    // on this grid, so the modes must be exact on it.
     let pupil = keck_like(40);
     let actuators = Mirror::new(11, 1.125, 0.1458).unwrap().near(&pupil, Mirror::DEFAULT_MARGIN_PITCHES).unwrap();
     let kl = karhunen_loeve(&actuators, &pupil, &VonKarman::new(0.16, 50.0).unwrap(), 20).unwrap();
@@ -191,8 +197,8 @@ fn karhunen_loeve_modes_are_uncorrelated_in_turbulence() {
     });
     let statistics = modes.dot(&covariance).dot(&modes.t());
     for i in 0..20 {
-        // Rounding of a double sum dominated by tip and tilt, 1e3 times the variance of mode 20, and the condition of
-        // the influence functions.
+        // Rounding of a double sum dominated by tip and tilt, 1e3 times the variance of mode 20,
+        // and the condition of the influence functions.
         let ratio = statistics[[i, i]] / kl.variances_nm2[i];
         assert!((ratio - 1.0).abs() < 1e-9, "variance of mode {i}: ratio {ratio}");
         for j in 0..i {
@@ -216,14 +222,16 @@ fn sixty_modes_contain_most_of_the_variance() {
         }
     }
     let contained: f64 = kl.variances_nm2.iter().sum();
-    // Noll's residual after 61 modes (with piston) is 0.2944·61^(−√3/2) = 0.0084 (D/r0)^(5/3) of about 0.7 in all for
-    // D/L0 = 0.2: 98 to 99 % of the variance, slightly less for a mirror than for free modes.
+    // Noll's residual after 61 modes (with piston) is 0.2944·61^(−√3/2) = 0.0084 (D/r0)^(5/3) of
+    // about 0.7 in all for D/L0 = 0.2: 98 to 99 % of the variance, slightly less for a mirror than
+    // for free modes.
     assert!((0.97..1.0).contains(&(contained / total)), "{}", contained / total);
 }
 
 #[test]
 fn nolls_residuals_come_out_of_the_structure_function() {
-    // Kolmogorov over a disc: 1.0299, 0.582 and 0.134 (D/r0)^(5/3) rad² without piston, tip, tilt (Noll 1976, table IV).
+    // Kolmogorov over a disc: 1.0299, 0.582 and 0.134 (D/r0)^(5/3) rad² without piston, tip, tilt
+    // (Noll 1976, table IV).
     let grid = Grid::new(48, 2.0).unwrap();
     let inside = |(y, x): (usize, usize)| f64::from(grid.coordinate_m(x).hypot(grid.coordinate_m(y)) <= 1.0);
     let amplitude = Array2::from_shape_fn((48, 48), inside);
@@ -248,8 +256,8 @@ fn nolls_residuals_come_out_of_the_structure_function() {
     }
     let rad2 = (2.0 * std::f64::consts::PI / R0_WAVELENGTH_NM).powi(2) / 2f64.powf(5.0 / 3.0);
     for (value, noll) in [(residual, 1.0299), (residual - tip, 0.582), (residual - tip - tilt, 0.134)] {
-        // 48 samples a side: the cells' own structure, of order (1/48)^(5/3) = 0.2 %, and a rim of squares, 1 %, weigh on
-        // the differences by the ratio 1/0.134 at most.
+        // 48 samples a side: the cells' own structure, of order (1/48)^(5/3) = 0.2 %, and a rim of
+        // squares, 1 %, weigh on the differences by the ratio 1/0.134 at most.
         assert!((value * rad2 - noll).abs() < 0.01, "{} against {noll}", value * rad2);
     }
 }
@@ -339,8 +347,9 @@ fn joint_basis_report_names_global_piston_and_tilts() {
     let report = Degeneracy::from_matrix(&gram, joint.names(), WEAK_BELOW).unwrap();
     assert_eq!(report.null.len(), 1, "{report}");
     assert_facts(&report.null[0].description, "36 segment pistons | global piston");
-    // An independent program found singular values of 1.41 … 0.10 for such a basis. The bound is √(1 + 36/35): a mode
-    // shared by both spaces, where equal pistons without their mean correlate by −1/35.
+    // An independent program found singular values of 1.41 … 0.10 for such a basis. The bound is
+    // √(1 + 36/35): a mode shared by both spaces, where equal pistons without their mean correlate
+    // by −1/35.
     let (first, last) = (report.singular_values[0], report.singular_values[100]);
     assert!((1.40..1.4244).contains(&first) && (0.08..0.12).contains(&last), "{first} … {last}");
     // The weak directions are tip and tilt, which both spaces contain.
@@ -384,8 +393,8 @@ fn the_largest_number_of_modes_is_limited_by_the_samples() {
     assert_eq!((few.basis.matrix(), &few.variances_nm2), (exact.basis.matrix(), &exact.variances_nm2));
     let whole = karhunen_loeve_complete(&actuators, &pupil, &turbulence).unwrap();
     assert_eq!(all(40, 10_000).0.basis.len(), whole.basis.len());
-    // One sample per pitch: some modes differ only between the samples. The request for all modes is an error; the request
-    // for at most all gives the resolved modes, with as many variances.
+    // One sample per pitch: some modes differ only between the samples. The request for all modes
+    // is an error; the request for at most all gives the resolved modes, with as many variances.
     let (coarse, pupil, actuators) = all(20, 10_000);
     assert!(karhunen_loeve_complete(&actuators, &pupil, &turbulence).is_err());
     assert!((100..whole.basis.len()).contains(&coarse.basis.len()), "{}", coarse.basis.len());

@@ -1,4 +1,5 @@
-//! Full-phase estimates behind a loop whose reference slopes a correction has moved: the telemetry is relative to them.
+//! Full-phase estimates behind a loop whose reference slopes a correction has moved: the telemetry
+//! is relative to them.
 
 use crate::full_phase::sky;
 use cophase::Control;
@@ -46,7 +47,8 @@ fn moved_reference_is_read_from_images_and_sent_corrections() {
     assert!(other.moved_reference_mas.is_none());
     assert_eq!(other.with_slopes(path("1.fits")).unwrap().moved_reference_mas, after.moved_reference_mas);
     let known = read(&scene, &after);
-    // Images that come as arrays, whose scene names the corrections, or the row in a file of images.
+    // Images that come as arrays, whose scene names the corrections, or the row in a file of
+    // images.
     let array = Images { moved_reference_mas: None, ..after.clone() };
     for file in [path("c.fits").display().to_string(), format!("{}[MOVED_REFERENCE]", path("1.fits").display())] {
         let named = scene.with(&[("wavefront_sensor.moved_reference_file", &file)]).unwrap();

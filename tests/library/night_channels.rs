@@ -1,4 +1,5 @@
-//! Channels behind adaptive optics: simulated in one run of the loop, written, read, and estimated together.
+//! Channels behind adaptive optics: simulated in one run of the loop, written, read, and estimated
+//! together.
 
 use crate::common::assert_facts;
 use crate::consistency::shown;
@@ -55,7 +56,8 @@ fn successive_channels_are_one_sequence() {
     assert_eq!(channels, [[0; 8], [1; 8]].concat());
     let map = found.full_phase().unwrap();
     assert_eq!(map.ao_knowledge, AoKnowledge::Telemetry);
-    // Turbulence averages over twice the images: 1/√2, and the noise of an estimate of the scatter from eight images.
+    // Turbulence averages over twice the images: 1/√2, and the noise of an estimate of the scatter
+    // from eight images.
     let one = Estimator::new(&scene.channels()[0].scene).unwrap().estimate(&images[0]).unwrap();
     let ratio = found.figures.phasing.sigma_nm / one.figures.phasing.sigma_nm;
     assert!((0.55..0.9).contains(&ratio), "{ratio}");
@@ -88,7 +90,8 @@ fn simultaneous_channels_are_averaged_in_each_exposure() {
     assert_facts(&refused, "[8, 7] images");
 }
 
-/// Pistons of 1,500 nm RMS, more than half of either wavelength, to whose whole wavelengths the loop does not respond.
+/// Pistons of 1,500 nm RMS, more than half of either wavelength, to whose whole wavelengths the
+/// loop does not respond.
 #[test]
 #[ignore = "merge: 6 s"]
 fn two_colours_resolve_whole_wavelengths_behind_ao() {

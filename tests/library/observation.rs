@@ -27,7 +27,8 @@ fn an_observation_reaches_its_budget_when_it_is_taken() {
     let again = Scene::from_text(best.scene.text(), best.scene.directory()).unwrap();
     let images = Images::simulated_channels(&again.with_override("aberrations.seed", "5").unwrap()).unwrap();
     let found = shown(Estimator::new(&again).unwrap().estimate(&images).unwrap());
-    // Some ten modes each: their RMS exceeds twice its expectation once in 10⁴ draws. Error bars are those of one noise and one wavefront.
+    // Some ten modes each: their RMS exceeds twice its expectation once in 10⁴ draws. Error bars
+    // are those of one noise and one wavefront.
     let residual_nm = found.truth.as_ref().unwrap().1.rms_nm;
     assert!((0..2).all(|part| residual_nm[part] < 2.0 * best.expected_nm[part]), "{residual_nm:?} {best:?}");
     let bars_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];

@@ -1,7 +1,8 @@
-//! Optical gains of a pyramid that differ from mode to mode: what they change in the NCPA of a full-phase estimate, against the error bar.
+//! Optical gains of a pyramid that differ from mode to mode: what they change in the NCPA of a
+//! full-phase estimate, against the error bar.
 //!
-//! The estimate divides all slopes by one gain. A loop drives the mean slopes of its modes to 0, which no gain changes; about reference slopes
-//! they are not 0.
+//! The estimate divides all slopes by one gain. A loop drives the mean slopes of its modes to 0,
+//! which no gain changes; about reference slopes they are not 0.
 
 use cophase::Control;
 use cophase::Estimator;
@@ -40,7 +41,8 @@ const SETTINGS: [(&str, &str); 22] = [
     ("estimate.device", "cpu"),
     ("estimate.model", "scene"),
 ];
-/// RMS over the modes of the change of their gains: those that dithering measures on `keck-pyramid` differ by 0.01.
+/// RMS over the modes of the change of their gains: those that dithering measures on `keck-pyramid`
+/// differ by 0.01.
 const SPREAD: f64 = 0.05;
 /// RMS of the commands of the shape that a loop is closed about, nm.
 const REFERENCE_NM: f64 = 40.0;
@@ -93,7 +95,8 @@ impl Draw {
         self.simulator.interaction().dot(&self.simulator.law().reconstructor().unwrap().modes().dot(coefficients))
     }
 
-    /// The scene with the slopes of [`Draw::shape_nm`] in the file at `path` as its reference slopes.
+    /// The scene with the slopes of [`Draw::shape_nm`] in the file at `path` as its reference
+    /// slopes.
     fn scene_about_shape(&self, path: &Path) -> Scene {
         let mut file = FitsWriter::create(path).unwrap();
         let row = self.simulator.interaction().dot(&self.shape_nm()).insert_axis(Axis(0));
@@ -102,7 +105,8 @@ impl Draw {
         self.scene.with(&[("wavefront_sensor.reference_file", &path.display().to_string())]).unwrap()
     }
 
-    /// The estimate with slopes whose part in each controlled mode is multiplied by a gain of its own, 1 and a normal number of RMS `spread`.
+    /// The estimate with slopes whose part in each controlled mode is multiplied by a gain of its
+    /// own, 1 and a normal number of RMS `spread`.
     fn estimate(&self, spread: f64) -> Estimate {
         let reconstructor = self.simulator.law().reconstructor().unwrap();
         let mut images = self.images.clone();

@@ -1,4 +1,5 @@
-//! Orientation of images: where the data determine it, it is checked, and where they do not, one remark says so.
+//! Orientation of images: where the data determine it, it is checked, and where they do not, one
+//! remark says so.
 
 use crate::consistency::{scene, shown};
 use crate::full_phase::{exposures, sky};
@@ -35,7 +36,8 @@ fn remarks(found: &Estimate) -> usize {
     found.remarks.iter().filter(|remark| remark.contains(UNVERIFIED)).count()
 }
 
-/// The images, with pixel (row, column) that of `source` of them, counted from the axis, which is on pixel M/2.
+/// The images, with pixel (row, column) that of `source` of them, counted from the axis, which is
+/// on pixel M/2.
 fn moved(images: &Images, source: impl Fn(usize, usize) -> (usize, usize)) -> Images {
     let at = |(i, y, x): (usize, usize, usize)| {
         let (y, x) = source(y, x);
@@ -51,7 +53,8 @@ fn a_pupil_without_symmetry_determines_the_orientation() {
     let (n, images) = (96, Images::simulated(&scene).unwrap());
     let right = estimate(&scene, &images);
     assert!(right.is_sound() && remarks(&right) == 0, "{:?} {:?}", right.warnings, right.remarks);
-    // All but one: a turn by 180° with the opposite diversity has the same image, and the opposite maps.
+    // All but one: a turn by 180° with the opposite diversity has the same image, and the opposite
+    // maps.
     let opposite =
         scene.with(&[("image.diversity_focus_waves_rms", "-0.8"), ("image.flip_x", "true"), ("image.flip_y", "true")]);
     let turned = Images { truth: None, scene: None, facts: Vec::new(), ..images.clone() };
@@ -90,7 +93,8 @@ fn a_pupil_that_equals_its_mirror_image_does_not() {
     assert!(residual_nm[0] > 3.0 * flipped.figures.phasing.sigma_nm, "{residual_nm:?}");
 }
 
-/// The response of a known loop is computed from the pistons, whose flipped map has the flipped response.
+/// The response of a known loop is computed from the pistons, whose flipped map has the flipped
+/// response.
 #[test]
 #[ignore = "merge: 4 s"]
 fn known_loop_without_slopes_leaves_the_orientation_open() {

@@ -1,4 +1,5 @@
-//! Petals, the parts of a pupil that its spider separates: found in geometry and in maps, in the truth and in estimates.
+//! Petals, the parts of a pupil that its spider separates: found in geometry and in maps, in the
+//! truth and in estimates.
 
 use super::full_phase::sky;
 use crate::common::assert_facts;
@@ -50,7 +51,8 @@ fn arms_divide_the_pupil_into_sectors_by_their_direction() {
     }
 }
 
-/// Samples of 12 mm: gaps of 20 mm are dark strips of one or two samples, and arms of 60 mm of five.
+/// Samples of 12 mm: gaps of 20 mm are dark strips of one or two samples, and arms of 60 mm of
+/// five.
 #[test]
 fn maps_have_petals_of_their_spider_and_not_of_their_gaps() {
     let grid = Grid::new(960, 11.1).unwrap();
@@ -120,8 +122,9 @@ fn petals_of_300_nm_are_found_in_one_defocused_image() {
     let (_, residual) = found.truth.as_ref().unwrap();
     let left_nm = sector_means(&found.pupil, residual.maps.ncpa_nm.view());
     println!("errors of the petals, nm: {left_nm:.2?}; NCPA {:?} {:?}", residual.rms_nm, found.figures.ncpa);
-    // Steps of 600 nm are at the nearest of samples that are four vanes wide: a misfit of 2.7 times the noise, by which the error bar is
-    // widened. The error of the map is normal with that error bar, of many modes, so twice of it is beyond chance.
+    // Steps of 600 nm are at the nearest of samples that are four vanes wide: a misfit of 2.7 times
+    // the noise, by which the error bar is widened. The error of the map is normal with that error
+    // bar, of many modes, so twice of it is beyond chance.
     assert!(residual.rms_nm[1] < 2.0 * found.figures.ncpa.sigma_nm, "{:?} {:?}", residual.rms_nm, found.figures.ncpa);
     assert!(left_nm.iter().all(|nm| nm.abs() < 5.0), "{left_nm:?}");
 }
@@ -178,7 +181,8 @@ fn petals_are_static_modes_of_a_full_phase_estimate() {
         (found.truth.as_ref().unwrap().1.rms_nm[1], found.figures.ncpa.sigma_nm)
     });
     println!("NCPA residual and error bar without and with petals, nm: {without:?} {with:?}");
-    // 6 nm in place of 80: steps of 100 nm are far above what the turbulence of eight images leaves.
+    // 6 nm in place of 80: steps of 100 nm are far above what the turbulence of eight images
+    // leaves.
     assert!(with.0 < 0.2 * without.0 && with.0 < 2.0 * with.1, "{without:?} {with:?}");
 }
 

@@ -1,4 +1,5 @@
-//! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what it cannot do.
+//! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what
+//! it cannot do.
 
 use crate::common::assert_facts;
 use cophase::imaging::{Chain, Precision};
@@ -47,7 +48,8 @@ fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
     planner::plan(scene, budget_nm, &Control::default())
 }
 
-/// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator makes it.
+/// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator
+/// makes it.
 fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
     let made = source::simulate(scene).unwrap();
     let estimator = ModalFitter::new(&plan.scene, false).unwrap();
@@ -69,7 +71,8 @@ fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
 #[test]
 #[ignore = "merge: 17 s"]
 fn a_budget_is_kept_on_other_scenes_at_less_work() {
-    // Other draws, brighter and fainter stars, larger and smaller errors: each is planned for itself.
+    // Other draws, brighter and fainter stars, larger and smaller errors: each is planned for
+    // itself.
     for (seed, snr, piston_nm, waves) in [(11, "300", "60", "1.0"), (12, "800", "30", "1.3"), (13, "400", "90", "0.8")]
     {
         let settings = [
@@ -180,8 +183,8 @@ fn scene_without_a_truth_is_planned_for_its_modes() {
 #[test]
 #[ignore = "merge: 4 s"]
 fn segment_tilts_are_in_the_error_budget() {
-    // Segments that tilt by 20 nm, and are estimated in piston, tip and tilt: prices that forgot the tilts would find
-    // no model within 15 nm.
+    // Segments that tilt by 20 nm, and are estimated in piston, tip and tilt: prices that forgot
+    // the tilts would find no model within 15 nm.
     let scene = small(&[("aberrations.segment_tip_tilt_rms_nm", "20"), ("modes.segment", "piston-tip-tilt")]);
     let plan = plan(&scene, 4.0).unwrap();
     assert!(plan.reference.error_nm() < 4.0, "{:?}", plan.reference);
@@ -196,8 +199,8 @@ fn filter_width_is_named_with_its_error() {
         let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap().clone();
         (plan.scene.estimate.wavelengths, bandwidth)
     };
-    // A narrow filter is not worth a second wavelength; a tenth of the wavelength blurs a spot of 1 wave of defocus by as
-    // much, more than the budget. A bright star shows the narrow one, too.
+    // A narrow filter is not worth a second wavelength; a tenth of the wavelength blurs a spot of 1
+    // wave of defocus by as much, more than the budget. A bright star shows the narrow one, too.
     let (wavelengths, narrow) = priced("0.015", "60");
     assert!(wavelengths == Some(1) && !narrow.modelled && narrow.without_nm < 2.0, "{wavelengths:?} {narrow:?}");
     let (wavelengths, shown) = priced("0.015", "300");
@@ -237,7 +240,8 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
         let plan = plan(&given, 2.0).unwrap();
         assert!(plan.is_met() && plan.shortfall().is_none(), "{:?}", plan.chosen);
         assert!(plan.chosen.megaflops < 0.8 * plan.reference.megaflops, "{:?} {:?}", plan.chosen, plan.reference);
-        // The keys are those of all, the crop is each channel's own, and what is kept is in the scene.
+        // The keys are those of all, the crop is each channel's own, and what is kept is in the
+        // scene.
         let names: Vec<&String> = plan.scene.channels().iter().map(|channel| &channel.name).collect();
         assert!(plan.choices.iter().all(|choice| choice.channel.as_ref().is_some_and(|name| names.contains(&name))));
         let samples = plan.scene.estimate.samples.unwrap();
@@ -246,7 +250,8 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
             assert_eq!(channel.scene.estimate.samples, Some(samples));
             assert!(matches!(channel.scene.image.crop_pixels, Crop::Pixels(_)));
         }
-        // Other wavefronts, with noise: their mean square error is within the budget, and near what the plan expects.
+        // Other wavefronts, with noise: their mean square error is within the budget, and near what
+        // the plan expects.
         let mut squares = [0.0; 2];
         const DRAWS: usize = 8;
         for seed in 0..DRAWS {
@@ -262,7 +267,8 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
         let Price { model_nm, noise_nm, .. } = plan.chosen;
         println!("{rms_nm:?} nm, {model_nm:?} and {noise_nm:?} planned, {samples} samples");
         for part in [0, 1] {
-            // The planned error of the model is the largest of eight draws; noise of 6 and 14 modes scatters by a tenth in the mean of eight.
+            // The planned error of the model is the largest of eight draws; noise of 6 and 14 modes
+            // scatters by a tenth in the mean of eight.
             assert!(rms_nm[part] < plan.budget_nm && rms_nm[part] > 0.7 * noise_nm[part], "{rms_nm:?}");
         }
     }

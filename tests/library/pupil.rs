@@ -74,7 +74,8 @@ fn a_rotated_mirror_has_a_rotated_spectrum() {
     for segment in [0, 5, 17, 35] {
         for (fx, fy) in [(0.1, 0.0), (0.3, -0.2), (-0.7, 1.1)] {
             let there = turned.spectrum_m2(segment, cos * fx - sin * fy, sin * fx + cos * fy).unwrap();
-            // The disc is a polygon, whose 256 sides do not turn into each other: a few 1e-5 of its area.
+            // The disc is a polygon, whose 256 sides do not turn into each other: a few 1e-5 of its
+            // area.
             assert!((there - own.spectrum_m2(segment, fx, fy).unwrap()).norm() < 1e-4, "{segment} {fx} {fy}");
         }
     }
@@ -95,7 +96,8 @@ fn coverage_conserves_each_segments_area() {
                 areas[segment as usize] += share * grid.pitch_m().powi(2);
             }
         }
-        // Shares of some 600 border cells, each a few roundings of 1 (they are dropped below 1e-12): 1e-11 at most.
+        // Shares of some 600 border cells, each a few roundings of 1 (they are dropped below
+        // 1e-12): 1e-11 at most.
         for area in areas {
             assert!((area - hexagon_area(0.9)).abs() < 1e-11, "{samples}: {area}");
         }
@@ -160,7 +162,8 @@ fn coverage_and_owners_agree_with_sub_samples() {
     let mut squares = 0.0;
     for ((y, x), &amplitude) in pupil.amplitude.indexed_iter() {
         let expected = sub_sampled(&grid, y, x, |x, y| hexagon(x, y).is_some() && !shadow(x, y));
-        // An edge along a line of sub-samples is half a line out, 1/32; at most four edges (a gap, an arm) share a cell.
+        // An edge along a line of sub-samples is half a line out, 1/32; at most four edges (a gap,
+        // an arm) share a cell.
         assert!((amplitude - expected).abs() < 4.0 / 32.0, "row {y}, column {x}: {amplitude} against {expected}");
         squares += (amplitude - expected).powi(2);
         let centre = hexagon(grid.coordinate_m(x), grid.coordinate_m(y));
@@ -168,7 +171,8 @@ fn coverage_and_owners_agree_with_sub_samples() {
             assert_eq!(pupil.owner[[y, x]], centre as i32, "row {y}, column {x}");
         }
     }
-    // Over all cells the errors are random, below 1/32/√3 on the third of the cells that an edge crosses.
+    // Over all cells the errors are random, below 1/32/√3 on the third of the cells that an edge
+    // crosses.
     let rms = (squares / 61.0f64.powi(2)).sqrt();
     assert!(rms < 0.01, "{rms}");
 }
@@ -191,7 +195,8 @@ fn shadows_take_their_exact_area() {
         exact
     };
     assert!((shadowed(1.2, 0.0, &[]) - (whole - PI * 0.36)).abs() < 1e-13);
-    // A level arm of half width h leaves out 2·∫₀ʰ (2 − 2t/√3) dt; the same arm named backwards is the same arm.
+    // A level arm of half width h leaves out 2·∫₀ʰ (2 − 2t/√3) dt; the same arm named backwards is
+    // the same arm.
     let h: f64 = 0.1;
     let arm = 4.0 * h - 2.0 * h * h / 3f64.sqrt();
     assert!((shadowed(0.0, 2.0 * h, &[0.0, 180.0]) - (whole - arm)).abs() < 1e-13);
@@ -226,7 +231,8 @@ fn impossible_mirrors_are_refused() {
 
 // Weights
 
-/// Focal field of segments with pistons of `phases` and a focus of `waves` RMS over the central 48 λ/D, `[v, u]`, m².
+/// Focal field of segments with pistons of `phases` and a focus of `waves` RMS over the central 48
+/// λ/D, `[v, u]`, m².
 fn focal_field(weights: &SegmentWeights, grid: &Grid, phases: &[f64], waves: f64) -> Array2<Complex64> {
     let samples = grid.samples();
     let mut field = Array2::<Complex64>::zeros((samples, samples));
@@ -272,7 +278,8 @@ fn hard_weights_are_the_basic_model() {
 #[test]
 fn band_limited_weights_carry_the_exact_low_frequencies() {
     let aperture = Aperture::keck();
-    // 20 spare samples on every side, so that all ringing is inside: the error is that of the dropped weights.
+    // 20 spare samples on every side, so that all ringing is inside: the error is that of the
+    // dropped weights.
     let grid = grid(160, KECK_WIDTH_M * 160.0 / 120.0);
     let pass = 50.0 * 160.0 / 120.0;
     let limit = BandLimit { drop_below: 1e-6, ..BandLimit::new(pass, 160).unwrap() };
@@ -292,8 +299,8 @@ fn band_limited_weights_carry_the_exact_low_frequencies() {
         }
     }
     println!("low frequencies: within {worst:.1e} of the peak");
-    // Some 5,000 weights below 1e-6 of random sign are dropped around the 253 samples of a segment: 3e-7, and the
-    // filter's own ringing is designed for 1e-6.
+    // Some 5,000 weights below 1e-6 of random sign are dropped around the 253 samples of a segment:
+    // 3e-7, and the filter's own ringing is designed for 1e-6.
     assert!(worst < 1e-6, "{worst:e}");
     let total: f64 = weights.weight.iter().sum();
     assert!((total / weights.energy - 1.0).abs() < 1e-6, "{total} against {}", weights.energy);
@@ -314,8 +321,9 @@ fn focal_field_is_exact_with_band_limited_weights_only() {
     assert!(reference_error < 1e-5, "{reference_error:e}");
     let truth = focal_field(&fine_weights, &fine, &phases, 1.5);
 
-    // The limits are the measured errors with a third to spare. 120 samples leave 0.2 of a sample beside Keck, so the
-    // ringing beyond the grid is lost; eight more samples of the same pitch keep most of it.
+    // The limits are the measured errors with a third to spare. 120 samples leave 0.2 of a sample
+    // beside Keck, so the ringing beyond the grid is lost; eight more samples of the same pitch
+    // keep most of it.
     for (samples, width, pass, limit) in
         [(120, KECK_WIDTH_M, 50.0, 4e-4), (136, KECK_WIDTH_M * 136.0 / 120.0, 56.6, 4e-5)]
     {
@@ -348,12 +356,13 @@ fn fine_maps_give_the_weights_of_the_geometry() {
         let sum = largest(total(&weights) - total(&geometric));
         let each = (0..36).map(|s| largest(weights.map(s, 120) - geometric.map(s, 120))).fold(0.0, f64::max);
         println!("{samples} fine samples: the sum within {sum:.1e}, one segment within {each:.1e}");
-        // A partially illuminated sample does not define the position of the edge in it: its first moment is wrong by up to 1/8
-        // of a sample squared, and the low pass turns that into weight with a slope of at most 2 per coarse sample.
+        // A partially illuminated sample does not define the position of the edge in it: its first
+        // moment is wrong by up to 1/8 of a sample squared, and the low pass turns that into weight
+        // with a slope of at most 2 per coarse sample.
         let ratio = fine.grid().pitch_m() / grid.pitch_m();
         assert!(sum < 0.25 * ratio * ratio, "{samples}: {sum:e}");
-        // A fine sample across a gap goes to one of its two segments: at most half of it is on the wrong side, along
-        // the whole edge.
+        // A fine sample across a gap goes to one of its two segments: at most half of it is on the
+        // wrong side, along the whole edge.
         assert!(each < 0.5 * ratio + 0.25 * ratio * ratio, "{samples}: {each:e}");
     }
     let coarse = aperture.pupil(&Grid::new(200, KECK_WIDTH_M).unwrap()).unwrap();
@@ -378,7 +387,8 @@ fn shadows_are_band_limited_like_segments() {
     let maps = SegmentWeights::band_limited_maps(&fine, &grid, &limit).unwrap();
     let worst = (geometric.map(0, 60) - maps.map(0, 60)).iter().fold(0f64, |worst, d| worst.max(d.abs()));
     println!("shadows: within {worst:.1e}");
-    // The first moment of a partially illuminated sample, as above; without labels there is no error at borders.
+    // The first moment of a partially illuminated sample, as above; without labels there is no
+    // error at borders.
     assert!(worst < 0.25 / 64.0, "{worst:e}");
 }
 

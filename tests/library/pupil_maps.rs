@@ -19,8 +19,8 @@ fn maps_of_a_pupil_are_its_pupil() {
     let read = Pupil::from_maps(pupil.grid, pupil.amplitude.clone(), Some(pupil.owner.clone())).unwrap();
     assert_eq!((&read.amplitude, &read.owner), (&pupil.amplitude, &pupil.owner));
     for (read, exact) in read.segments.iter().zip(aperture.segments()) {
-        // A cell on a border belongs to one segment: up to half a row of cells changes its segment at two opposite edges,
-        // 0.046 m · 0.9 m each, 0.78 m from the centre of 2.1 m².
+        // A cell on a border belongs to one segment: up to half a row of cells changes its segment
+        // at two opposite edges, 0.046 m · 0.9 m each, 0.78 m from the centre of 2.1 m².
         assert!((read.x_m - exact.x_m).hypot(read.y_m - exact.y_m) < 0.031, "{read:?} against {exact:?}");
     }
 }
@@ -142,7 +142,8 @@ fn piston_tip_and_tilt_leave_nothing_of_a_plane() {
         let overlap =
             |((y, x), a): ((usize, usize), &f64)| a * rest[[y, x]] * at(x).powi(power.0) * at(y).powi(power.1);
         let sum: f64 = pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(overlap).sum();
-        // The overlap that was removed, Σ A x⁴, is 1e6; a sum of 1e4 terms rounds to some 100 epsilons of it, twice.
+        // The overlap that was removed, Σ A x⁴, is 1e6; a sum of 1e4 terms rounds to some 100
+        // epsilons of it, twice.
         assert!(sum.abs() < 1e-7, "{power:?}: {sum:e}");
     }
 }

@@ -1,4 +1,5 @@
-//! Scenes: accepted and refused texts, messages, and random texts, on which the parser must not panic.
+//! Scenes: accepted and refused texts, messages, and random texts, on which the parser must not
+//! panic.
 
 use crate::common::assert_facts;
 use cophase::Error;
@@ -143,8 +144,9 @@ fn keys_that_a_scene_does_not_name_have_defaults() {
 #[test]
 fn the_extent_of_the_keck_pupil() {
     let mut text = format!("{SMALLEST}[pupil]\nrings = 3\nsegment_side_m = 0.9\nsegment_gap_m = 0.003\n");
-    // By hand: 3 rings of centres √3·0.9 + 0.003 = 1.5618457 m apart along y, and half a hexagon's height, 0.7794229 m,
-    // on either side: 2·(3·1.5618457 + 0.7794229) = 10.9299200; along x it is 2·(3·1.5618457·0.8660254 + 0.9) = 9.9155.
+    // By hand: 3 rings of centres √3·0.9 + 0.003 = 1.5618457 m apart along y, and half a hexagon's
+    // height, 0.7794229 m, on either side: 2·(3·1.5618457 + 0.7794229) = 10.9299200; along x it is
+    // 2·(3·1.5618457·0.8660254 + 0.9) = 9.9155.
     let extent_m = parse(&text).unwrap().pupil.extent_m().unwrap();
     assert!((extent_m - 10.929_920_0).abs() < 2e-7, "{extent_m}"); // seven decimals above
     text += "grid_m = 10.92";
@@ -433,7 +435,8 @@ fn the_reference_describes_every_key_of_the_presets() {
     assert!(reference.contains("[wavefront_sensor]") && reference.contains("default: none, it is required"));
 }
 
-/// Changes a text at random: bytes deleted, replaced or inserted, lines deleted, duplicated or swapped.
+/// Changes a text at random: bytes deleted, replaced or inserted, lines deleted, duplicated or
+/// swapped.
 fn mutate(text: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     const FRAGMENTS: [&[u8]; 14] = [
         b"=",
@@ -503,7 +506,8 @@ fn the_parser_does_not_panic_on_random_texts() {
             }
         }
     }
-    // The mutations must produce both scenes that reach the checks behind the parser and texts that are refused.
+    // The mutations must produce both scenes that reach the checks behind the parser and texts that
+    // are refused.
     assert!(accepted > 500 && refused > 500, "{accepted} accepted, {refused} refused");
 }
 

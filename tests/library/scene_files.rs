@@ -1,4 +1,5 @@
-//! Files that a scene names: one that does not exist is missed, whether or not the estimate reads it.
+//! Files that a scene names: one that does not exist is missed, whether or not the estimate reads
+//! it.
 
 use crate::consistency::scene;
 use cophase::Error;

@@ -42,8 +42,8 @@ fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
     realtime.estimate(images).unwrap()
 }
 
-/// Compares a session with the estimate from the same images: the largest difference of a coefficient over its error bar, and the
-/// smallest and largest ratio of error bars.
+/// Compares a session with the estimate from the same images: the largest difference of a
+/// coefficient over its error bar, and the smallest and largest ratio of error bars.
 fn agreement(session: &Session, estimate: &Estimate) -> (f64, [f64; 2]) {
     let (fit, sigma_nm) = (result(session), estimate.modes.sigma_nm());
     let off = fit.coefficients_nm.iter().zip(&estimate.modes.coefficients_nm).zip(&sigma_nm);
@@ -53,7 +53,8 @@ fn agreement(session: &Session, estimate: &Estimate) -> (f64, [f64; 2]) {
     (off, [extreme(f64::min), extreme(f64::max)])
 }
 
-/// The refined fit is the estimate: the same matrices from fits that are the same to the bit, but for the last digits of χ².
+/// The refined fit is the estimate: the same matrices from fits that are the same to the bit, but
+/// for the last digits of χ².
 fn refines_to(session: &Session, estimate: &Estimate) {
     let refined = session.refine(0).unwrap();
     let sigma_nm = estimate.modes.sigma_nm();
@@ -68,8 +69,9 @@ fn refines_to(session: &Session, estimate: &Estimate) {
     assert!(refined.integers.iter().zip(&estimate.integers).all(|(a, b)| a.integer == b.integer));
 }
 
-/// A pair with its defocus known and known to 1 %, and two colours: the weights at the flat wavefront move the estimate by a small part of
-/// its error bar, which is itself a few per cent off; of wavefronts of 64 nm and some 40 nm.
+/// A pair with its defocus known and known to 1 %, and two colours: the weights at the flat
+/// wavefront move the estimate by a small part of its error bar, which is itself a few per cent
+/// off; of wavefronts of 64 nm and some 40 nm.
 #[test]
 fn a_session_agrees_with_the_estimate() {
     for (channels, error) in [(PAIR, "0"), (PAIR, "0.01"), (COLOURS, "0")] {
@@ -157,7 +159,8 @@ fn deadlines_cancels_and_frames_of_no_use() {
     assert!(result(&session).coefficients_nm[0].is_nan());
 }
 
-/// A batch of two groups, of which the second has no joint result, and each group by itself: the same bits.
+/// A batch of two groups, of which the second has no joint result, and each group by itself: the
+/// same bits.
 #[test]
 fn groups_of_a_batch_have_the_bits_of_single_groups() {
     let scene = with_channels(PAIR, &[]);
@@ -193,7 +196,8 @@ fn groups_of_a_batch_have_the_bits_of_single_groups() {
     assert_facts(&error, "the session has 2 channels | one of one channel");
 }
 
-/// A list of one channel is fitted as the only channel of a scene, whose scene is that of the channel.
+/// A list of one channel is fitted as the only channel of a scene, whose scene is that of the
+/// channel.
 #[test]
 fn a_list_of_one_channel_is_a_scene_of_one() {
     let scene = with_channels("[[image.channel]]\nname = \"plus\"\n", &[]);

@@ -1,4 +1,5 @@
-//! Telemetry that does not belong to the images, images in another orientation, and images that change: each is named.
+//! Telemetry that does not belong to the images, images in another orientation, and images that
+//! change: each is named.
 
 use crate::common::assert_facts;
 use crate::full_phase::{exposures, sky};
@@ -229,7 +230,8 @@ fn a_poke_shows_the_orientation() {
     let open = result(&modal, Some(&before), &before, poke).unwrap();
     let facts = "do not show the poke of segment 1";
     assert!(matches!(&open, PokeResult::Undecided(sentence) if sentence.contains(facts)), "{open:?}");
-    // Another number than that of the segment that moved: the segment is named, and no orientation is.
+    // Another number than that of the segment that moved: the segment is named, and no orientation
+    // is.
     let other = result(&modal, Some(&before), &after, Poke::Segment(0, 150.0)).unwrap();
     assert!(matches!(&other, PokeResult::OtherPart(sentence) if sentence.starts_with("segment 1 moved")), "{other:?}");
     let refused = result(&modal, None, &after, Poke::Segment(7, 100.0)).unwrap_err().to_string();

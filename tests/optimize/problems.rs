@@ -19,7 +19,8 @@ pub fn rosenbrock(x: &[f64]) -> Result<(f64, Vec<f64>)> {
     Ok((f, g))
 }
 
-/// J = |A (x − truth)|² + floor: A is `[2n, n]` and random, its columns falling from 1 to 1/`condition`.
+/// J = |A (x − truth)|² + floor: A is `[2n, n]` and random, its columns falling from 1 to
+/// 1/`condition`.
 pub struct Quadratic {
     a: Array2<f64>,
     pub truth: Array1<f64>,
@@ -63,8 +64,9 @@ impl Quadratic {
 
 const GRID: usize = 16;
 
-/// A small phase retrieval: J = Σ w (|F(A e^{i(Bc + θ)})|² − d)² over 16 × 16 pixels, F a Fourier sum, B four quadrant
-/// pistons and six polynomials, θ a defocus, d with the noise of 1e5 photons, w = 1/(d + read variance).
+/// A small phase retrieval: J = Σ w (|F(A e^{i(Bc + θ)})|² − d)² over 16 × 16 pixels, F a Fourier
+/// sum, B four quadrant pistons and six polynomials, θ a defocus, d with the noise of 1e5 photons,
+/// w = 1/(d + read variance).
 pub struct Retrieval {
     amplitude: Array2<f64>,
     modes: Vec<Array2<f64>>,

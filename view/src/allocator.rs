@@ -1,8 +1,9 @@
 //! Memory that runs out is said in one sentence.
 //!
-//! The memory of a scene is compared with what the machine has before the work (`cophase::machine`), by formulas. This is
-//! what remains where a formula is too low or another program takes the memory: the standard library would print two lines
-//! and abort, which a script sees as a crash. Files that appear by a rename are not there, or as they were.
+//! The memory of a scene is compared with what the machine has before the work
+//! (`cophase::machine`), by formulas. This is what remains where a formula is too low or another
+//! program takes the memory: the standard library would print two lines and abort, which a script
+//! sees as a crash. Files that appear by a rename are not there, or as they were.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::{Cursor, Write};

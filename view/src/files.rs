@@ -27,7 +27,8 @@ pub fn seed() -> impl clap::builder::TypedValueParser<Value = u64> {
 }
 
 impl Settings {
-    /// `scene` with these settings, and after them those of other options. The files that it names must be there.
+    /// `scene` with these settings, and after them those of other options. The files that it names
+    /// must be there.
     pub fn apply(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let scene = self.changed(scene, options)?;
         check_scene_files(&scene, |_| true)?;
@@ -47,8 +48,8 @@ impl Settings {
         self.apply_to_embedded(&scene, options)
     }
 
-    /// As [`Settings::apply`], for the scene of a FITS file. Its files may be left on another machine: those that are not
-    /// needed are not missed, unless these settings name them.
+    /// As [`Settings::apply`], for the scene of a FITS file. Its files may be left on another
+    /// machine: those that are not needed are not missed, unless these settings name them.
     fn apply_to_embedded(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let scene = self.changed(scene, options)?;
         check_scene_files(&scene, |key| self.keys().any(|named| named == key))?;
@@ -74,7 +75,8 @@ impl Settings {
     }
 }
 
-/// The scene in the file `name` (`-` for standard input), or the preset of that name where there is no such file.
+/// The scene in the file `name` (`-` for standard input), or the preset of that name where there is
+/// no such file.
 pub fn scene(name: &Path) -> Result<Scene> {
     if name == Path::new("-") {
         return Scene::from_file("/dev/stdin");

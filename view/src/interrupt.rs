@@ -1,4 +1,5 @@
-//! Signals: Ctrl-C and SIGTERM stop at the next safe place, and a limit on file sizes is an error like a full disk.
+//! Signals: Ctrl-C and SIGTERM stop at the next safe place, and a limit on file sizes is an error
+//! like a full disk.
 
 use crate::terminal::{self, Wait};
 use cophase::control::CancelFlag;
@@ -13,8 +14,8 @@ use std::time::Duration;
 /// 128 + SIGINT, as shells count it.
 pub const EXIT_STATUS: u8 = 130;
 
-/// Time from the first signal to the end of the program, where the work has not ended by itself: a set-up, a decomposition, or a file that is read
-/// reaches its next safe place later.
+/// Time from the first signal to the end of the program, where the work has not ended by itself: a
+/// set-up, a decomposition, or a file that is read reaches its next safe place later.
 const GRACE: Duration = Duration::from_millis(1500);
 /// Time for the last line, where a pipe does not take it.
 const LAST_LINE: Duration = Duration::from_millis(200);
@@ -22,11 +23,12 @@ const LAST_LINE: Duration = Duration::from_millis(200);
 /// Whether the verb has ended, and its failure is said.
 static HAS_ENDED: AtomicBool = AtomicBool::new(false);
 
-/// A write beyond `ulimit -f` then fails with a reason, as on a full disk, instead of killing the process and leaving
-/// its temporary file behind.
+/// A write beyond `ulimit -f` then fails with a reason, as on a full disk, instead of killing the
+/// process and leaving its temporary file behind.
 ///
 /// # Errors
-/// [`Error::Value`] where the address space is limited (`ulimit -v`) and the threads do not fit into it.
+/// [`Error::Value`] where the address space is limited (`ulimit -v`) and the threads do not fit
+/// into it.
 pub fn prepare_process() -> Result<()> {
     // SAFETY: a plain system call before any thread starts; it installs no handler.
     unsafe {
@@ -49,8 +51,8 @@ fn is_address_space_limited() -> bool {
     unsafe { libc::getrlimit(libc::RLIMIT_AS, &mut limit) == 0 && limit.rlim_cur != libc::RLIM_INFINITY }
 }
 
-/// One heap for all threads where the address space is limited: glibc reserves 64 MiB of it for each thread, of which most
-/// stay unused, and what is needed is refused then.
+/// One heap for all threads where the address space is limited: glibc reserves 64 MiB of it for
+/// each thread, of which most stay unused, and what is needed is refused then.
 fn share_arenas() {
     #[cfg(target_env = "gnu")]
     // SAFETY: a plain call before any thread starts.
@@ -64,7 +66,8 @@ pub(crate) fn verb_has_ended() {
     HAS_ENDED.store(true, Ordering::SeqCst);
 }
 
-/// Ends the program after [`GRACE`]: files that are not complete are removed, and none appears after the line that says so.
+/// Ends the program after [`GRACE`]: files that are not complete are removed, and none appears
+/// after the line that says so.
 fn end_after_grace() {
     std::thread::sleep(GRACE);
     abandon_files();
@@ -89,7 +92,8 @@ fn end() -> ! {
     unsafe { libc::_exit(EXIT_STATUS.into()) }
 }
 
-/// Handler of SIGTERM. The feature `termination` of ctrlc would catch SIGHUP, too, which nohup ignores.
+/// Handler of SIGTERM. The feature `termination` of ctrlc would catch SIGHUP, too, which nohup
+/// ignores.
 extern "C" fn raise_interrupt(_: libc::c_int) {
     // SAFETY: a plain call.
     unsafe {
@@ -103,8 +107,9 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// Catches Ctrl-C from now on, and SIGTERM, with which job schedulers and mpirun end a job. Work that has not stopped within two seconds is
-    /// ended; a second signal ends the program at once.
+    /// Catches Ctrl-C from now on, and SIGTERM, with which job schedulers and mpirun end a job.
+    /// Work that has not stopped within two seconds is ended; a second signal ends the program at
+    /// once.
     pub fn catch() -> Result<Self> {
         let flag: CancelFlag = Arc::new(AtomicBool::new(false));
         let raised = flag.clone();

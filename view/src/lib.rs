@@ -1,5 +1,5 @@
-//! What the programs of this workspace share: pictures and HTML pages from results, the terminal, signals, and the files,
-//! scenes and shares that a command line names.
+//! What the programs of this workspace share: pictures and HTML pages from results, the terminal,
+//! signals, and the files, scenes and shares that a command line names.
 
 pub mod allocator;
 pub mod files;

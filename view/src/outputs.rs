@@ -19,8 +19,8 @@ const MOST_INPUT: u64 = 16 << 30;
 /// Extensions of a picture.
 const PICTURES: [&str; 2] = ["png", "svg"];
 
-/// Says now, before the work, what would stop the outputs from being written after it: two outputs with one path, an
-/// output that is an input, a read-only file, a missing directory.
+/// Says now, before the work, what would stop the outputs from being written after it: two outputs
+/// with one path, an output that is an input, a read-only file, a missing directory.
 ///
 /// # Errors
 /// [`Error::File`] with the path and the flags.
@@ -83,7 +83,8 @@ pub fn refuse_dash((flag, output): Flagged) -> Result<()> {
     Err(Error::file(output, reason))
 }
 
-/// Whether two paths are one file, or would be: a file that is not there yet is compared by its directory and its name.
+/// Whether two paths are one file, or would be: a file that is not there yet is compared by its
+/// directory and its name.
 fn same_file(a: &Path, b: &Path) -> bool {
     let identity = |path: &Path| -> Option<(PathBuf, Option<OsString>)> {
         if let Ok(there) = path.canonicalize() {
@@ -98,8 +99,8 @@ fn same_file(a: &Path, b: &Path) -> bool {
     }
 }
 
-/// Copies standard input to a temporary file where `path` is `-`, and puts the name of that file into `path`. The file is
-/// removed with the value that is returned.
+/// Copies standard input to a temporary file where `path` is `-`, and puts the name of that file
+/// into `path`. The file is removed with the value that is returned.
 ///
 /// # Errors
 /// [`Error::File`] where standard input cannot be copied; [`Error::Interrupted`] while it is read.

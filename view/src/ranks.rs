@@ -1,7 +1,8 @@
-//! Ranks: the processes that a launcher of parallel programs (mpirun, srun) starts, and signs of life between them.
+//! Ranks: the processes that a launcher of parallel programs (mpirun, srun) starts, and signs of
+//! life between them.
 //!
-//! The processes exchange files in a folder that all of them see, and need no MPI library: the number of a process is in the
-//! environment that every launcher sets.
+//! The processes exchange files in a folder that all of them see, and need no MPI library: the
+//! number of a process is in the environment that every launcher sets.
 
 use cophase::pipeline::Part;
 use cophase::{Error, Result};
@@ -11,8 +12,8 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Variables with the number of a process and the number of all: Open MPI; MPICH and Intel MPI; Slurm, whose second variable is set
-/// in steps of srun only.
+/// Variables with the number of a process and the number of all: Open MPI; MPICH and Intel MPI;
+/// Slurm, whose second variable is set in steps of srun only.
 const VARIABLES: [[&str; 2]; 3] = [
     ["OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"],
     ["PMI_RANK", "PMI_SIZE"],
@@ -26,8 +27,8 @@ const JOBS: [&str; 4] = ["PMIX_NAMESPACE", "OMPI_MCA_ess_base_jobid", "SLURM_JOB
 pub const LOOK: Duration = Duration::from_millis(50);
 /// Time between two signs of life.
 const BEAT: Duration = Duration::from_secs(1);
-/// Silence after which a rank is given up, unless `COPHASE_RANK_TIMEOUT_S` says otherwise: directories of network file systems are up to
-/// a minute old.
+/// Silence after which a rank is given up, unless `COPHASE_RANK_TIMEOUT_S` says otherwise:
+/// directories of network file systems are up to a minute old.
 const SILENCE_S: f64 = 120.0;
 
 /// The share of one process in a command.
@@ -204,8 +205,8 @@ impl RankMonitor {
     }
 
     /// # Errors
-    /// [`Error::Value`] where the rank has failed, or has given no sign for too long. Without a name of the job a file that does not
-    /// change is of an earlier one.
+    /// [`Error::Value`] where the rank has failed, or has given no sign for too long. Without a
+    /// name of the job a file that does not change is of an earlier one.
     pub fn check(&mut self) -> Result<()> {
         let content = std::fs::read_to_string(&self.file).ok();
         let Rank { number, of } = self.rank;

@@ -56,12 +56,14 @@ impl Terminal {
         }
     }
 
-    /// Shows the progress of an estimate, whose [`Control`](cophase::pipeline::Control) calls [`Wait::observer`].
+    /// Shows the progress of an estimate, whose [`Control`](cophase::pipeline::Control) calls
+    /// [`Wait::observer`].
     pub fn follow(&self) -> Wait {
         self.wait(Stage::Preparing.label(), 1)
     }
 
-    /// Shows that `what` takes its time: a bar with rate and time left where `steps` is more than one, else a clock.
+    /// Shows that `what` takes its time: a bar with rate and time left where `steps` is more than
+    /// one, else a clock.
     pub fn wait(&self, what: &str, steps: usize) -> Wait {
         let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
         bar.set_style(if steps > 1 { style(BAR) } else { style(CLOCK) });
@@ -72,7 +74,8 @@ impl Terminal {
 }
 
 fn style(template: &str) -> ProgressStyle {
-    // Templates are constants that indicatif accepts; its own style is the answer if one day it does not.
+    // Templates are constants that indicatif accepts; its own style is the answer if one day it
+    // does not.
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     // Writing into memory does not fail.
     style

@@ -32,10 +32,12 @@ pub struct Arguments {
     /// Folder in which FITS files appear
     #[arg(value_name = "FOLDER", required_unless_present_any = ["stream", "export"], conflicts_with_all = ["stream", "export"])]
     folder: Option<PathBuf>,
-    /// Stream of ImageStreamIO (milk, cacao) in place of a folder; its file is in MILK_SHM_DIR, else /milk/shm, else /tmp
+    /// Stream of ImageStreamIO (milk, cacao) in place of a folder; its file is in MILK_SHM_DIR,
+    /// else /milk/shm, else /tmp
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mask", "export"])]
     stream: Option<String>,
-    /// Write the night of --state to a .fits, .fits.gz or .csv file, or a report to an .html file, and end; a watch may run meanwhile
+    /// Write the night of --state to a .fits, .fits.gz or .csv file, or a report to an .html file,
+    /// and end; a watch may run meanwhile
     #[arg(long, value_name = "FILE")]
     export: Option<PathBuf>,
     /// Scene: a TOML file, or the name of a preset
@@ -55,7 +57,8 @@ pub struct Arguments {
     /// Which holds where a file contradicts the scene
     #[arg(long, value_name = "WHICH", value_parser = ["scene"])]
     trust: Option<String>,
-    /// Time between two scans of the folder, which find files of which the system gives no notice (network folders)
+    /// Time between two scans of the folder, which find files of which the system gives no notice
+    /// (network folders)
     #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = seconds)]
     poll_seconds: f64,
     /// How long an incomplete file must stay as it is before it is refused
@@ -64,8 +67,9 @@ pub struct Arguments {
     /// Take what is there, then end
     #[arg(long)]
     once: bool,
-    /// File to which corrections of the tracked state are written, by the policy of the scene ([commands]), as 'cophase estimate --commands' does:
-    /// FITS, or text for FILE.txt. From later frames the watch recognises that one was applied
+    /// File to which corrections of the tracked state are written, by the policy of the scene
+    /// ([commands]), as 'cophase estimate --commands' does: FITS, or text for FILE.txt. From later
+    /// frames the watch recognises that one was applied
     #[arg(long, value_name = "FILE", conflicts_with = "export")]
     corrections: Option<PathBuf>,
     /// Log, to which lines of JSON are appended
@@ -89,7 +93,8 @@ pub struct Arguments {
     /// Name of this machine under which the page is accepted besides its addresses; may be repeated
     #[arg(long, value_name = "NAME")]
     host: Vec<String>,
-    /// What every request must know: 16 to 256 letters, digits, - and _. COPHASE_TOKEN in the environment is not seen by others
+    /// What every request must know: 16 to 256 letters, digits, - and _. COPHASE_TOKEN in the
+    /// environment is not seen by others
     #[arg(long)]
     token: Option<String>,
 }

@@ -19,13 +19,15 @@ pub fn seconds(time: SystemTime) -> f64 {
     }
 }
 
-/// Seconds since 1970 of a modified Julian date; `None` where it is none that a file of an observation can have.
+/// Seconds since 1970 of a modified Julian date; `None` where it is none that a file of an
+/// observation can have.
 pub fn of_mjd(mjd: f64) -> Option<f64> {
     (mjd > 0.0 && mjd < 200_000.0).then_some((mjd - MJD_1970) * DAY_S)
 }
 
-/// Seconds since 1970 of a date with the time of the day, as FITS (`2026-11-25T04:15:30.25`) and observatories write them: a blank in place of
-/// the `T`, slashes (`2026/11/25`, `25/11/2026`), no separators (`20261125`), a `Z` or an offset from UTC (`-10:00`) behind the time.
+/// Seconds since 1970 of a date with the time of the day, as FITS (`2026-11-25T04:15:30.25`) and
+/// observatories write them: a blank in place of the `T`, slashes (`2026/11/25`, `25/11/2026`), no
+/// separators (`20261125`), a `Z` or an offset from UTC (`-10:00`) behind the time.
 pub fn of_iso(text: &str) -> Option<f64> {
     let text = text.trim();
     let (date, time) = text.split_once(['T', ' ']).unwrap_or((text, "0:0:0"));
@@ -85,8 +87,9 @@ pub fn to_iso(seconds: f64) -> String {
     format!("{year:04}-{month:02}-{day:02}T{hours:02}:{minutes:02}:{:02}.{:03}Z", seconds / 1000, seconds % 1000)
 }
 
-/// Days from 1970-01-01 to a date of the Gregorian calendar: years begin in March, so that a leap day is the last, and 400 of them
-/// have 146,097 days (H. Hinnant, "chrono-compatible low-level date algorithms").
+/// Days from 1970-01-01 to a date of the Gregorian calendar: years begin in March, so that a leap
+/// day is the last, and 400 of them have 146,097 days (H. Hinnant, "chrono-compatible low-level
+/// date algorithms").
 fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
     let year = if month <= 2 { year - 1 } else { year };
     let era = year.div_euclid(400);

@@ -1,7 +1,8 @@
 //! Corrections of a watch: when one is written, and what is kept of it.
 //!
-//! After a frame the scene's policy weighs the tracked state. What is worth correcting is written; while that may still be applied, another one is
-//! written only where the state has moved, since then, by what the policy would correct.
+//! After a frame the scene's policy weighs the tracked state. What is worth correcting is written;
+//! while that may still be applied, another one is written only where the state has moved, since
+//! then, by what the policy would correct.
 
 use crate::clock;
 use crate::model::{Model, rms_nm};
@@ -12,10 +13,11 @@ use cophase::{Error, Result};
 use ndarray::{Array1, Array2};
 use std::path::Path;
 
-/// Writes a correction to `path` where the state after `step` asks for one, and makes the tracker expect it.
+/// Writes a correction to `path` where the state after `step` asks for one, and makes the tracker
+/// expect it.
 ///
-/// The file is written before the frame is in the store. A watch that ends between both takes the frame again, which leads to the same correction
-/// with the same number.
+/// The file is written before the frame is in the store. A watch that ends between both takes the
+/// frame again, which leads to the same correction with the same number.
 ///
 /// # Errors
 /// [`Error::File`] where the file cannot be written; those of the corrections.

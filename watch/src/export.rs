@@ -1,4 +1,5 @@
-//! Export of a night from its store, also while a watch runs: FITS with all vectors, CSV with a row for each frame, or an HTML report.
+//! Export of a night from its store, also while a watch runs: FITS with all vectors, CSV with a row
+//! for each frame, or an HTML report.
 
 use crate::store::{About, Columns, Reader, StoredCorrection, StoredFrame};
 use crate::{clock, report};
@@ -10,11 +11,12 @@ use std::path::Path;
 /// Frames that are read at once.
 const CHUNK: usize = 1000;
 
-/// Writes the night in the file `state` to `output`, by its extension. Gives the number of frames, and the sentence that some may be missing.
+/// Writes the night in the file `state` to `output`, by its extension. Gives the number of frames,
+/// and the sentence that some may be missing.
 ///
 /// # Errors
-/// [`Error::File`] for another extension than `.fits`, `.fits.gz`, `.csv` and `.html`, for a file that is no store, and where the output cannot be
-/// written. What was there stays then.
+/// [`Error::File`] for another extension than `.fits`, `.fits.gz`, `.csv` and `.html`, for a file
+/// that is no store, and where the output cannot be written. What was there stays then.
 pub fn export(state: &Path, output: &Path) -> Result<(usize, Option<String>)> {
     let name = output.file_name().map(|name| name.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let (is_csv, is_report) = (name.ends_with(".csv"), name.ends_with(".html"));
@@ -155,7 +157,8 @@ fn write_fits(output: &Path, about: &About, frames: &[StoredFrame], reader: &Rea
     file.finish()
 }
 
-/// The table `CORRECTIONS`, and the image `CORRECTION_CHANGES` of what each changes of the coefficients.
+/// The table `CORRECTIONS`, and the image `CORRECTION_CHANGES` of what each changes of the
+/// coefficients.
 fn write_corrections(file: &mut FitsWriter, about: &About, reader: &Reader) -> Result<()> {
     let mut corrections = reader.corrections(usize::MAX >> 1)?;
     corrections.reverse();

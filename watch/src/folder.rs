@@ -1,8 +1,10 @@
 //! Source of frames: a folder in which FITS files appear.
 //!
-//! The kernel's notices (crate `notify`) say where to look; a scan of the whole folder every few seconds finds what they miss, and is all
-//! that there is on network folders, whose notices do not leave the machine that writes. A file is taken once its headers and sizes are
-//! those of a complete FITS file and either its writer has closed it (or renamed it) or two looks found it unchanged.
+//! The kernel's notices (crate `notify`) say where to look; a scan of the whole folder every few
+//! seconds finds what they miss, and is all that there is on network folders, whose notices do not
+//! leave the machine that writes. A file is taken once its headers and sizes are those of a
+//! complete FITS file and either its writer has closed it (or renamed it) or two looks found it
+//! unchanged.
 
 use crate::store::FileRecord;
 use cophase::io::FitsReader;
@@ -14,8 +16,8 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-/// Between two looks at a file that must find it unchanged: longer than a camera's program pauses within one file, and shorter than a
-/// person notices.
+/// Between two looks at a file that must find it unchanged: longer than a camera's program pauses
+/// within one file, and shorter than a person notices.
 const LOOK: Duration = Duration::from_millis(100);
 /// Ends of the names of files that are taken.
 const EXTENSIONS: [&str; 8] = [".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fit.fz"];
@@ -84,8 +86,8 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// The folder `path`, of which `taken` files were taken before. It is scanned every `poll`; a file that is not complete is given up
-    /// once it has not changed for `settle`.
+    /// The folder `path`, of which `taken` files were taken before. It is scanned every `poll`; a
+    /// file that is not complete is given up once it has not changed for `settle`.
     pub fn new(path: &Path, taken: &HashMap<PathBuf, FileRecord>, poll: Duration, settle: Duration) -> Self {
         let stamp = |file: &FileRecord| Stamp { size: file.size, mtime_ns: file.mtime_ns, inode: file.inode };
         let (sender, notices) = channel();
@@ -240,7 +242,8 @@ impl Folder {
             if !pending.is_closed && age < LOOK {
                 return true;
             }
-            // Again at the end: a change within the resolution of the file system's times leaves the stamp as it was.
+            // Again at the end: a change within the resolution of the file system's times leaves
+            // the stamp as it was.
             if pending.incomplete.is_none() || age >= settle {
                 match FitsReader::open(path) {
                     Ok(_) => {

@@ -74,7 +74,8 @@ struct Observed {
     unread: Option<String>,
 }
 
-/// The time of an observation, the middle before the beginning (FITS standard 4.0, table 22); then names that observatories use.
+/// The time of an observation, the middle before the beginning (FITS standard 4.0, table 22); then
+/// names that observatories use.
 fn observed(path: &Path) -> Observed {
     let Ok(mut file) = FitsReader::open(path) else { return Observed::default() };
     let mut card = |key: &str| file.image_card(key).ok().flatten();
@@ -100,7 +101,8 @@ fn observed(path: &Path) -> Observed {
     Observed { time_s: found.or_else(|| clock::of_mjd(days(card("JD")?)? - 2_400_000.5)), unread }
 }
 
-/// The time of the day in a card of its own, as Keck and others keep it, s; ESO's is a number of seconds.
+/// The time of the day in a card of its own, as Keck and others keep it, s; ESO's is a number of
+/// seconds.
 fn time_of_day(card: &mut impl FnMut(&str) -> Option<Card>) -> Option<f64> {
     ["TIME-OBS", "TIME_OBS", "UTC", "UT", "UTSTART", "UT-START", "TIME"].into_iter().find_map(|key| match card(key)? {
         Card::Text(text) => clock::time_in(&text),

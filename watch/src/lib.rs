@@ -4,8 +4,9 @@
 //! folder or stream ─ frame ─ FrameEstimator ─ Tracker ─ Store (one transaction) ─ page, log
 //! ```
 //!
-//! One thread takes frames, estimates them and writes the store. Ctrl-C, a kill and a power cut may come at any time: a frame is in the
-//! store as a whole or not at all, and what is not there is taken by the next watch.
+//! One thread takes frames, estimates them and writes the store. Ctrl-C, a kill and a power cut may
+//! come at any time: a frame is in the store as a whole or not at all, and what is not there is
+//! taken by the next watch.
 
 pub mod arguments;
 mod clock;

@@ -27,8 +27,8 @@ impl Log {
         Ok(Self { file: Some((path.to_path_buf(), file)), has_failed: false })
     }
 
-    /// Adds a line: the time, `what`, and the keys of `rest`. A log that cannot be written does not end the watch: the first failure is
-    /// a line on stderr.
+    /// Adds a line: the time, `what`, and the keys of `rest`. A log that cannot be written does not
+    /// end the watch: the first failure is a line on stderr.
     pub fn line(&mut self, what: &str, rest: Value) {
         let Some((path, file)) = &mut self.file else { return };
         let mut line = serde_json::json!({ "time": clock::to_iso(clock::now_s()), "what": what });

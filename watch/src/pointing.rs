@@ -2,7 +2,8 @@
 
 use crate::store::StoredFrame;
 
-/// Root of the mean square of its distance from its mean place, pixels, over the frames that have a result; `None` for fewer than two.
+/// Root of the mean square of its distance from its mean place, pixels, over the frames that have a
+/// result; `None` for fewer than two.
 pub fn rms_pixels<'a>(frames: impl IntoIterator<Item = &'a StoredFrame>) -> Option<f64> {
     let place = |frame: &StoredFrame| frame.pointing_x_pixels.zip(frame.pointing_y_pixels);
     let places: Vec<(f64, f64)> = frames.into_iter().filter_map(place).collect();

@@ -54,7 +54,8 @@ pub struct Settings {
 /// Watches until Ctrl-C, or with [`Settings::once`] until everything that is there is taken.
 ///
 /// # Errors
-/// Those of building the model and of opening the store; with [`Settings::once`] also [`Error::File`] where the store cannot be written.
+/// Those of building the model and of opening the store; with [`Settings::once`] also
+/// [`Error::File`] where the store cannot be written.
 pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
     let place = settings.place.checked()?;
     let model = {

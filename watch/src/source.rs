@@ -14,7 +14,8 @@ pub enum Source {
 }
 
 impl Source {
-    /// Waits up to `wait` for frames, and gives them to the watcher; the outcome of each. One that the store does not take is given again.
+    /// Waits up to `wait` for frames, and gives them to the watcher; the outcome of each. One that
+    /// the store does not take is given again.
     pub fn take(&mut self, wait: Duration, watcher: &mut Watcher) -> Vec<Result<()>> {
         match self {
             Self::Folder(folder) => take_files(folder, wait, watcher),

@@ -100,7 +100,8 @@ impl Tracking {
         })
     }
 
-    /// The star of an estimate, pixels of the frame from the axis along x and y; NaN where it is not known.
+    /// The star of an estimate, pixels of the frame from the axis along x and y; NaN where it is
+    /// not known.
     pub fn pointing_pixels(&self, estimate: &FrameEstimate) -> [f64; 2] {
         let nm = self.pointing.of(&estimate.modes.coefficients_nm, estimate.report.tip_tilt_nm);
         [0, 1].map(|axis| nm[axis] / self.pointing.nm_per_pixel[axis])

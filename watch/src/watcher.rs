@@ -60,8 +60,8 @@ impl Watcher<'_> {
     /// Takes the complete file `path`; one whose bytes are known already adds nothing but its name.
     ///
     /// # Errors
-    /// [`Error::File`] where the store cannot be written: then nothing of the frame is there, and the file can be given again;
-    /// [`Error::Interrupted`].
+    /// [`Error::File`] where the store cannot be written: then nothing of the frame is there, and
+    /// the file can be given again; [`Error::Interrupted`].
     pub fn take_file(&mut self, path: &Path, stamp: Stamp) -> Result<Outcome> {
         let complete_s = clock::now_s();
         let Ok(content) = frame_file::content(path) else { return Ok(Outcome::Changed) };

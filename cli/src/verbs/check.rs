@@ -61,7 +61,8 @@ pub struct Arguments {
     poke_nm: Option<f64>,
     #[command(flatten)]
     settings: Settings,
-    /// Picture of image, model and residual, with the scene and with the first fault corrected: a .png or .svg file
+    /// Picture of image, model and residual, with the scene and with the first fault corrected: a
+    /// .png or .svg file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Writes the scene with the settings of the first fault, where it has some

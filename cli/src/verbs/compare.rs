@@ -34,7 +34,8 @@ pupil), samples_left_out.";
 pub struct Arguments {
     /// FITS file that 'cophase estimate' wrote
     estimate: PathBuf,
-    /// FITS file with TRUTH_PHASING and TRUTH_NCPA, as 'cophase image' writes them [default: the estimate's own]
+    /// FITS file with TRUTH_PHASING and TRUTH_NCPA, as 'cophase image' writes them [default: the
+    /// estimate's own]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["truth_pistons", "truth_phasing", "truth_ncpa", "truth_opd"])]
     truth: Option<PathBuf>,
     /// True piston of each segment, nm

@@ -31,7 +31,8 @@ pub struct Arguments {
     /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Corrections that are applied before the images, as 'cophase estimate --commands FILE.fits' writes them; repeated, all add up
+    /// Corrections that are applied before the images, as 'cophase estimate --commands FILE.fits'
+    /// writes them; repeated, all add up
     #[arg(long, value_name = "FILE.fits")]
     corrections: Vec<PathBuf>,
     #[command(flatten)]

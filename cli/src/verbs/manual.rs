@@ -1,4 +1,5 @@
-//! `cophase manual`: the command line as manual pages, as JSON for the documentation, and as a parser of other command lines.
+//! `cophase manual`: the command line as manual pages, as JSON for the documentation, and as a
+//! parser of other command lines.
 
 use clap::{Arg, ArgGroup, Command};
 use cophase::io::write_atomically;

@@ -1,7 +1,7 @@
 //! The command line: one file per verb, and what they share.
 //!
-//! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
-//! (stopped by Ctrl-C or SIGTERM, as shells count it).
+//! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2
+//! (bad usage), 130 (stopped by Ctrl-C or SIGTERM, as shells count it).
 
 mod check;
 mod compare;

@@ -7,8 +7,8 @@ use cophase_view::terminal::counted;
 use ndarray::{Array1, Array2};
 use std::path::Path;
 
-/// The picture of the corrections of `estimate`, which is of the images in the file `name`: the pistons to add, with the names of their
-/// channels, and the surface that the mirror would add.
+/// The picture of the corrections of `estimate`, which is of the images in the file `name`: the
+/// pistons to add, with the names of their channels, and the surface that the mirror would add.
 pub fn picture(name: &Path, estimate: &Estimate, corrections: &Corrections) -> Result<MapsPicture> {
     let mut maps = Vec::new();
     if !corrections.pistons_nm.is_empty() {

@@ -93,14 +93,15 @@ fn centre_m(lenslets: &Lenslets, place: usize) -> (f64, f64) {
     (coordinate_m(place % lenslets.across), coordinate_m(place / lenslets.across))
 }
 
-/// Actuators in use, as in the tables ACTUATORS; those near the pupil where the subapertures cannot be drawn.
+/// Actuators in use, as in the tables ACTUATORS; those near the pupil where the subapertures cannot
+/// be drawn.
 fn actuators(scene: &Scene, telescope: &Telescope, lenslets: Option<&Lenslets>) -> Result<InfluenceFunctions> {
     let is_known = lenslets.is_some() || scene.wavefront_sensor.is_none() || scene.mirror.actuator_file.is_some();
     if is_known { ao::actuators_in_use(scene, telescope) } else { telescope.influence(scene) }
 }
 
-/// Where the numbers stand, m: at the centre of each segment, or within it where a segment from a file does not contain its
-/// centre, as a ring.
+/// Where the numbers stand, m: at the centre of each segment, or within it where a segment from a
+/// file does not contain its centre, as a ring.
 fn number_places(scene: &Scene, pupil: &Pupil) -> Vec<(f64, f64)> {
     let grid = &pupil.grid;
     let last = grid.samples() as f64 - 1.0;
@@ -113,11 +114,13 @@ fn number_places(scene: &Scene, pupil: &Pupil) -> Vec<(f64, f64)> {
     pupil.segments.iter().enumerate().map(place).collect()
 }
 
-/// The place in a segment that is farthest from its edge, counted in samples along rows and columns, m.
+/// The place in a segment that is farthest from its edge, counted in samples along rows and
+/// columns, m.
 fn innermost_place(pupil: &Pupil, number: usize) -> (f64, f64) {
     let (n, grid) = (pupil.grid.samples(), &pupil.grid);
     let is_own = |y: usize, x: usize| pupil.owner[[y, x]] == number as i32;
-    // Distance to the nearest sample of another segment: over the neighbours below and on the left, then over the others.
+    // Distance to the nearest sample of another segment: over the neighbours below and on the left,
+    // then over the others.
     let mut depth = Array2::<u32>::zeros((n, n));
     for (y, x) in (0..n).flat_map(|y| (0..n).map(move |x| (y, x))).filter(|&(y, x)| is_own(y, x)) {
         let below = if y > 0 { depth[[y - 1, x]] } else { 0 };

@@ -17,7 +17,8 @@ pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
             let [truth, residual] = truth.map(|(truth, residual)| part(truth, residual).map(Some)).unwrap_or_default();
             MapTriple {
                 estimate: map.clone(),
-                // Beside a residual only a figure would be left of it: the subtitle has the one that the table has.
+                // Beside a residual only a figure would be left of it: the subtitle has the one
+                // that the table has.
                 sigma: truth.is_none().then(|| sigma.clone()),
                 truth,
                 residual,
@@ -59,7 +60,8 @@ fn images(estimate: &Estimate) -> Vec<ImageTriple> {
     each.collect()
 }
 
-/// The figures above the maps of phasing and NCPA: those of the report, over the pupil's weight, tip and tilt removed.
+/// The figures above the maps of phasing and NCPA: those of the report, over the pupil's weight,
+/// tip and tilt removed.
 fn rms(estimate: &Estimate) -> Result<[MapRms; 2]> {
     let truth = estimate.truth.as_ref();
     let of_truth = |map: &Array2<f64>| {
@@ -133,8 +135,8 @@ fn bars(estimate: &Estimate) -> Result<ModalBars> {
     })
 }
 
-/// `segment-07-piston` as `piston 7`, `noll-4` as `noll 4`: the picture makes the words before the numbers the label of
-/// the axis.
+/// `segment-07-piston` as `piston 7`, `noll-4` as `noll 4`: the picture makes the words before the
+/// numbers the label of the axis.
 fn short(name: &str) -> String {
     let parts = name.strip_prefix("segment-").and_then(|rest| rest.split_once('-'));
     let numbered = parts.and_then(|(number, motion)| Some((number.parse::<usize>().ok()?, motion)));
@@ -142,9 +144,9 @@ fn short(name: &str) -> String {
     numbered.map_or_else(plain, |(number, motion)| format!("{motion} {number}"))
 }
 
-/// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with itself. That is the
-/// coefficient where the modes of a group are orthogonal, as segments, exact Zernikes and Karhunen-Loève modes are;
-/// elsewhere the picture has no truth for them (NaN).
+/// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with
+/// itself. That is the coefficient where the modes of a group are orthogonal, as segments, exact
+/// Zernikes and Karhunen-Loève modes are; elsewhere the picture has no truth for them (NaN).
 fn true_coefficients(model: &Model, truth: &StaticMaps) -> Result<Vec<f64>> {
     let amplitude = &model.telescope.pupil.amplitude;
     let weighted = |truth_nm: &Array2<f64>| {
@@ -154,7 +156,8 @@ fn true_coefficients(model: &Model, truth: &StaticMaps) -> Result<Vec<f64>> {
     let basis = &model.basis;
     let gram = basis.gram(amplitude)?;
     let orthogonal = |group: Group| {
-        // Next to each other is where a basis that is not orthogonal shows: as good as all pairs, at their root's cost.
+        // Next to each other is where a basis that is not orthogonal shows: as good as all pairs,
+        // at their root's cost.
         let modes = model.modes_of(group);
         modes.clone().zip(modes.skip(1)).all(|(a, b)| gram[[a, b]].abs() < 1e-3 * (gram[[a, a]] * gram[[b, b]]).sqrt())
     };

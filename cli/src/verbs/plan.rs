@@ -40,7 +40,8 @@ evaluations, megaflops and estimate_us for one image.";
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset
     scene: PathBuf,
-    /// RMS error that is allowed to the phasing, and to the NCPA, noise included [default: the scene's estimate.budget_nm]
+    /// RMS error that is allowed to the phasing, and to the NCPA, noise included [default: the
+    /// scene's estimate.budget_nm]
     #[arg(long, value_name = "NM")]
     budget_nm: Option<f64>,
     /// Write the scene with the choices as keys; a file that is there is replaced
@@ -145,7 +146,8 @@ fn of(channel: &Option<String>) -> String {
     channel.as_ref().map(|name| format!("{name}: ")).unwrap_or_default()
 }
 
-/// How much of something the plan takes, as a multiple of what the reference takes: a plan may take more of it.
+/// How much of something the plan takes, as a multiple of what the reference takes: a plan may take
+/// more of it.
 fn relation(reference: f64, plan: f64, what: &str) -> String {
     format!("{:.2} times {what}", plan / reference)
 }

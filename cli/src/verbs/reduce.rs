@@ -49,10 +49,12 @@ pub struct Arguments {
     /// Frames as the flats, with the lamp off
     #[arg(long, value_name = "RAW", num_args = 1..)]
     lamp_off: Vec<PathBuf>,
-    /// Frames of the sky without the star; without them the sky is the median of the other dither positions
+    /// Frames of the sky without the star; without them the sky is the median of the other dither
+    /// positions
     #[arg(long, value_name = "RAW", num_args = 1..)]
     skies: Vec<PathBuf>,
-    /// Channel of the scene whose frames have file names like PATTERN; NAME=CARD=PATTERN for a header card; may be repeated
+    /// Channel of the scene whose frames have file names like PATTERN; NAME=CARD=PATTERN for a
+    /// header card; may be repeated
     #[arg(long = "channel", value_name = "NAME=PATTERN", value_parser = channel_rule)]
     channels: Vec<ChannelRule>,
     /// FITS file that marks bad pixels of the detector with other values than 0
@@ -61,7 +63,8 @@ pub struct Arguments {
     /// Pixels along a side of the cut-out about the star [default: image.pixels of the scene]
     #[arg(long, value_name = "N")]
     pixels: Option<usize>,
-    /// Counts of one coadd from which a pixel is saturated [default: image.saturation_adu of the scene]
+    /// Counts of one coadd from which a pixel is saturated [default: image.saturation_adu of the
+    /// scene]
     #[arg(long, value_name = "COUNTS")]
     saturation: Option<f64>,
     /// Make no sky of the dithers
@@ -169,7 +172,8 @@ fn scene(arguments: &Arguments) -> Result<Scene> {
     Ok(scene)
 }
 
-/// The files with the class that a list gives them. A reduction that is to be replaced is none of them.
+/// The files with the class that a list gives them. A reduction that is to be replaced is none of
+/// them.
 fn inputs(arguments: &Arguments) -> Result<Vec<(PathBuf, Option<FrameClass>)>> {
     let mut inputs: Vec<(PathBuf, Option<FrameClass>)> = Vec::new();
     let lists = [

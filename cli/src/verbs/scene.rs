@@ -22,7 +22,8 @@ The picture shows the pupil as the maps of an estimate do: x to the right, y up,
 table SEGMENTS, of modes such as segment-07-piston and of 'check --segment'; actuators and subapertures are \
 those of the AO loop.";
 
-/// Print a documented scene or draw its numbering instead, or list the scenes that come with the program
+/// Print a documented scene or draw its numbering instead, or list the scenes that come with the
+/// program
 #[derive(clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
@@ -31,11 +32,12 @@ pub struct Arguments {
     /// Print every key that a scene may have
     #[arg(long, conflicts_with = "name")]
     reference: bool,
-    /// Print a first scene for the instrument of a raw frame, or for the system of a file of AOT; what the file does not say is marked in
-    /// comments
+    /// Print a first scene for the instrument of a raw frame, or for the system of a file of AOT;
+    /// what the file does not say is marked in comments
     #[arg(long, value_name = "FRAME", conflicts_with_all = ["name", "reference"])]
     from: Option<PathBuf>,
-    /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or .svg), in place of the text
+    /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or
+    /// .svg), in place of the text
     #[arg(long, value_name = "FILE", requires = "name")]
     plot: Option<PathBuf>,
     #[command(flatten)]
@@ -85,7 +87,8 @@ fn in_pixels(scene: &Scene) -> String {
     }
     if image.diversity_file.is_none() {
         let waves = image.diversity_focus_waves_rms;
-        // A defocus of one wave RMS on a disc, √3 (2r² − 1), has a slope of 4√3 waves a radius at the edge: 8√3 λ/D on either side of the axis.
+        // A defocus of one wave RMS on a disc, √3 (2r² − 1), has a slope of 4√3 waves a radius at
+        // the edge: 8√3 λ/D on either side of the axis.
         let (nm, spot) = (waves * image.wavelength_nm, 16.0 * 3f64.sqrt() * waves.abs() * sampling);
         text += &format!(
             "; defocus {waves:.3} waves RMS ({nm:.0} nm), a spot some {spot:.0} of {} pixels wide",

@@ -33,11 +33,12 @@ pub struct Arguments {
     /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Also write images, slopes, commands and loop as a file of AOT, the telemetry standard of adaptive optics (docs/aot.md)
+    /// Also write images, slopes, commands and loop as a file of AOT, the telemetry standard of
+    /// adaptive optics (docs/aot.md)
     #[arg(long, value_name = "FILE")]
     aot: Option<PathBuf>,
-    /// Corrections that were sent before the images, as 'cophase estimate --commands FILE.fits' writes them: the truth is what they
-    /// leave; may be given more than once, they add up
+    /// Corrections that were sent before the images, as 'cophase estimate --commands FILE.fits'
+    /// writes them: the truth is what they leave; may be given more than once, they add up
     #[arg(long, value_name = "FILE")]
     corrections: Vec<PathBuf>,
     #[command(flatten)]
@@ -45,10 +46,12 @@ pub struct Arguments {
     /// Seed of the aberrations, the turbulence and the noise [default: those of the scene]
     #[arg(long, value_parser = cophase_view::files::seed())]
     seed: Option<u64>,
-    /// Make N runs with the seeds from --seed (else 1) on, each a file with its seed in its name: night-1.fits, night-2.fits, ...
+    /// Make N runs with the seeds from --seed (else 1) on, each a file with its seed in its name:
+    /// night-1.fits, night-2.fits, ...
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with = "aot")]
     seeds: Option<u32>,
-    /// Make every N-th of the runs from the I-th on; rank: the part of this process under mpirun or srun
+    /// Make every N-th of the runs from the I-th on; rank: the part of this process under mpirun or
+    /// srun
     #[arg(long, value_name = "I/N|rank", requires = "seeds")]
     part: Option<Share>,
     /// Print the result as JSON
@@ -234,7 +237,8 @@ fn made(simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Made {
     }
 }
 
-/// Time in each stage beside the least it has to do; the turbulence and the camera have threads of their own.
+/// Time in each stage beside the least it has to do; the turbulence and the camera have threads of
+/// their own.
 fn stages(simulator: &Simulator, summary: &Summary) -> String {
     let mut text = String::from("stage          us/frame     Mflop        kB   GFLOP/s      GB/s\n");
     for stage in LoopStage::ALL {

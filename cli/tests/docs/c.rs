@@ -1,5 +1,6 @@
-//! C blocks: whole programs are compiled, linked and run; lines of a program are compiled within a function, below the declarations of
-//! `setup/PAGE.c`. `docs/c.md` begins with a program that `tests/install` runs with an installed library.
+//! C blocks: whole programs are compiled, linked and run; lines of a program are compiled within a
+//! function, below the declarations of `setup/PAGE.c`. `docs/c.md` begins with a program that
+//! `tests/install` runs with an installed library.
 
 use crate::blocks::{self, Block};
 use crate::{libraries, root, setup};

@@ -1,7 +1,9 @@
-//! Python and MATLAB blocks: those of a page run one after the other in one interpreter, after `setup/PAGE.py` or `.m`, on the library
-//! that cargo built. Presets are small scenes there (`run.py`, `run.m`).
+//! Python and MATLAB blocks: those of a page run one after the other in one interpreter, after
+//! `setup/PAGE.py` or `.m`, on the library that cargo built. Presets are small scenes there
+//! (`run.py`, `run.m`).
 //!
-//! Where Python or Octave is not installed its test prints that and passes, unless `COPHASE_REQUIRE_PYTHON` or `COPHASE_REQUIRE_OCTAVE` is 1.
+//! Where Python or Octave is not installed its test prints that and passes, unless
+//! `COPHASE_REQUIRE_PYTHON` or `COPHASE_REQUIRE_OCTAVE` is 1.
 
 use crate::blocks::{self, Block};
 use crate::{here, libraries, root, setup};
@@ -18,7 +20,8 @@ fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
     here
 }
 
-/// Writes each block to a file whose name is its place, and gives these files, each behind its setup.
+/// Writes each block to a file whose name is its place, and gives these files, each behind its
+/// setup.
 fn files(page: &str, blocks: &[Block], extension: &str, folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = setup(page, extension).into_iter().collect();
     for (index, block) in blocks.iter().enumerate() {

@@ -1,9 +1,9 @@
-//! Code blocks of the pages: each is run or compiled in its language. Scenes are small: a block that names a preset gets one of the
-//! same kind with few samples and modes (`presets/`).
+//! Code blocks of the pages: each is run or compiled in its language. Scenes are small: a block
+//! that names a preset gets one of the same kind with few samples and modes (`presets/`).
 //!
-//! A block that cannot be run has the comment `<!-- not run: REASON -->` on the line before it in the page; the test
-//! `blocks_that_are_not_run_have_a_reason` prints them. What a page leaves out (`frames`, `scene`, ...) is in
-//! `setup/PAGE.EXTENSION`.
+//! A block that cannot be run has the comment `<!-- not run: REASON -->` on the line before it in
+//! the page; the test `blocks_that_are_not_run_have_a_reason` prints them. What a page leaves out
+//! (`frames`, `scene`, ...) is in `setup/PAGE.EXTENSION`.
 
 #[path = "../../../tests/common/blocks.rs"]
 mod blocks;
@@ -30,7 +30,8 @@ fn here() -> PathBuf {
     root().join("cli/tests/docs")
 }
 
-/// What a page's blocks in a language need, if it is anything: `PAGE.EXTENSION` before all of them, `PAGE.N.EXTENSION` before block N.
+/// What a page's blocks in a language need, if it is anything: `PAGE.EXTENSION` before all of them,
+/// `PAGE.N.EXTENSION` before block N.
 fn setup(page: &str, extension: &str) -> Option<PathBuf> {
     let name = page.trim_end_matches(".md").replace('/', "-").to_lowercase();
     Some(here().join("setup").join(format!("{name}.{extension}"))).filter(|path| path.exists())

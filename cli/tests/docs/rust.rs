@@ -1,4 +1,5 @@
-//! Rust blocks: each is part of a file that is compiled, `setup/PAGE.rs` here or the example of the library; the test compares the texts.
+//! Rust blocks: each is part of a file that is compiled, `setup/PAGE.rs` here or the example of the
+//! library; the test compares the texts.
 
 use crate::blocks;
 use crate::{root, setup};

@@ -1,9 +1,11 @@
-//! Shell blocks: each line `cophase ...` must be accepted by the program's parser of the command line, and other commands must be among
-//! those that are known (`tests/common/shell.rs`), which do nothing: `sudo make install` is not for a test. Lines `cophase-paper ...` are
-//! tried by the tests of `paper/`.
+//! Shell blocks: each line `cophase ...` must be accepted by the program's parser of the command
+//! line, and other commands must be among those that are known (`tests/common/shell.rs`), which do
+//! nothing: `sudo make install` is not for a test. Lines `cophase-paper ...` are tried by the tests
+//! of `paper/`.
 //!
-//! With `COPHASE_LONG_TESTS=1` (`scripts/test --all`) the lines of pages that begin with nothing but a preset are run, too, one after
-//! the other in one folder, with small scenes in place of the presets.
+//! With `COPHASE_LONG_TESTS=1` (`scripts/test --all`) the lines of pages that begin with nothing
+//! but a preset are run, too, one after the other in one folder, with small scenes in place of the
+//! presets.
 
 use crate::blocks::{self, Block};
 use crate::commands::{shell, try_lines};
@@ -14,7 +16,8 @@ const PROGRAM: &str = env!("CARGO_BIN_EXE_cophase");
 /// Parses a command line without running it.
 const ACCEPTS: &str = "\"$PROGRAM\" manual --accepts -- \"$@\"";
 
-/// Runs the program with small scenes in place of presets. An estimate with warnings is one (`--strict`).
+/// Runs the program with small scenes in place of presets. An estimate with warnings is one
+/// (`--strict`).
 const SMALL_PROGRAM: &str = "#!/bin/bash
 words=()
 for word; do
@@ -24,8 +27,8 @@ done
 \"$PROGRAM\" \"${words[@]}\" || { status=$?; [[ $status == 3 ]] || exit $status; }
 ";
 
-/// Pages whose lines need no files but those that they make, and what makes the reader's own. A scene that a page begins with is
-/// `scene.toml`.
+/// Pages whose lines need no files but those that they make, and what makes the reader's own. A
+/// scene that a page begins with is `scene.toml`.
 const WHOLE: [(&str, &str); 3] = [
     ("README.md", ""),
     ("quickstart.md", ""),

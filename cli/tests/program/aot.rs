@@ -1,8 +1,9 @@
-//! Files of AOT, the telemetry standard of adaptive optics: a night through one has the bits of one through our own FITS; aotpy, the
-//! reference implementation, reads what is written here, and what it writes is read.
+//! Files of AOT, the telemetry standard of adaptive optics: a night through one has the bits of one
+//! through our own FITS; aotpy, the reference implementation, reads what is written here, and what
+//! it writes is read.
 //!
-//! aotpy is that of the Python in `COPHASE_AOTPY`, else in `COPHASE_PYTHON`, else `python3`. Where it is not installed its tests say so
-//! and pass, unless `COPHASE_REQUIRE_AOTPY=1`.
+//! aotpy is that of the Python in `COPHASE_AOTPY`, else in `COPHASE_PYTHON`, else `python3`. Where
+//! it is not installed its tests say so and pass, unless `COPHASE_REQUIRE_AOTPY=1`.
 
 use crate::{Desk, number, text_column};
 use cophase::io::FitsReader;
@@ -21,7 +22,8 @@ fn desk() -> Desk {
     desk
 }
 
-/// Estimates from `images`, and gives the estimate's numbers as bits: maps and coefficients with their error bars.
+/// Estimates from `images`, and gives the estimate's numbers as bits: maps and coefficients with
+/// their error bars.
 fn estimate(desk: &Desk, images: &str, options: &[&str]) -> Vec<u64> {
     let own = ["estimate", images, "-o", "est.fits", "--method", "full-phase", "--device", "cpu"];
     desk.succeeds(&[own.as_slice(), options].concat());
@@ -69,7 +71,8 @@ fn a_night_through_aot_has_the_bits_of_one_through_our_fits() {
     assert_eq!(check("aot.fits"), check("sky.fits"));
 }
 
-/// The first scene of `images`, with what AOT cannot say: the defocus, and the number of modes of the own scene.
+/// The first scene of `images`, with what AOT cannot say: the defocus, and the number of modes of
+/// the own scene.
 fn first_scene(desk: &Desk, images: &str) -> String {
     let text = desk.succeeds(&["scene", "--from", images]).out;
     std::fs::write(desk.path("first.toml"), text.replace("focus_waves_rms = 1.5", "focus_waves_rms = 1.0")).unwrap();
@@ -102,8 +105,9 @@ fn first_scene_of_aot_tables_estimates_as_the_own_scene() {
     ] {
         assert!(text.lines().any(|own| own.starts_with(line)), "{line}:\n{text}");
     }
-    // The scene's own matrices are those of the file, so that the loop's response, and with it the estimate, is the same but for the
-    // pupil samples (120 by default, 64 of the own scene) and modes: the residual does not grow by more than a third.
+    // The scene's own matrices are those of the file, so that the loop's response, and with it the
+    // estimate, is the same but for the pupil samples (120 by default, 64 of the own scene) and
+    // modes: the residual does not grow by more than a third.
     let residual = |scene: &str| {
         let options = ["--scene", scene, "--set", "pupil.samples=64", "--set", "modes.ncpa_count=30"];
         estimate(&desk, "aot.fits", &options);

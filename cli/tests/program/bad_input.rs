@@ -88,7 +88,8 @@ fn scenes_that_cannot_be() {
         std::fs::write(desk.path("odd.toml"), SMALL.replacen(from, to, 1)).unwrap();
         desk.refuses(&["image", "odd.toml", "-o", "new.fits"], &["odd.toml line ", word]);
     }
-    // What no key shows by itself is found when the telescope is built, and so are the files that it needs.
+    // What no key shows by itself is found when the telescope is built, and so are the files that
+    // it needs.
     let shadow = ["image", "scene.toml", "-o", "new.fits", "--set", "pupil.central_obscuration_m=3.0"];
     desk.refuses(&shadow, &["segment 0", "obscuration (3 m)"]);
     let settings = ["--set", "pupil.file=missing-pupil.fits", "--set", "pupil.aperture=", "--set", "pupil.rings="];
@@ -178,7 +179,8 @@ fn a_full_disk_leaves_what_was_there() {
     let before = desk.files();
     for arguments in [&["image", "scene.toml", "-o", "new.fits"][..], &ESTIMATE] {
         let mut shell = Command::new("sh");
-        // 8 blocks of 512 or 1024 bytes, as the shell counts: less than either file, more than a line.
+        // 8 blocks of 512 or 1024 bytes, as the shell counts: less than either file, more than a
+        // line.
         shell.args(["-c", "ulimit -f 8 && exec \"$@\"", "sh", env!("CARGO_BIN_EXE_cophase")]).args(arguments);
         let done = Done::from(shell.current_dir(desk.path("")).output().unwrap());
         done.failed(arguments, &["cannot be written", "no partial file is left"]);

@@ -5,7 +5,8 @@ use cophase::io::{Card, FitsReader, FitsWriter, Pixel};
 use ndarray::Array2;
 
 impl Desk {
-    /// Writes the first of the images over `divisor`, with cards of these values and comments in the HDU and in the primary one.
+    /// Writes the first of the images over `divisor`, with cards of these values and comments in
+    /// the HDU and in the primary one.
     fn write_frame(&self, name: &str, divisor: f64, own: &[(&str, Card, &str)], primary: &[(&str, Card, &str)]) {
         let images = FitsReader::open(self.path("images.fits")).unwrap().cube("IMAGES").unwrap();
         let mut file = FitsWriter::create(self.path(name)).unwrap();

@@ -1,14 +1,16 @@
-//! `cophase check`: planted faults are named, with the key to set, and nothing is named where there is none.
+//! `cophase check`: planted faults are named, with the key to set, and nothing is named where there
+//! is none.
 
 use crate::Desk;
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use serde_json::Value;
 
-/// A grid that holds the pupil at every rotation, with enough samples for the model's own error to be below the noise.
+/// A grid that holds the pupil at every rotation, with enough samples for the model's own error to
+/// be below the noise.
 const SET: [&str; 3] = ["pupil.grid_m=5.2", "pupil.samples=128", "image.peak_snr=150"];
 
-/// A desk with `images.fits`, made with `planted`, and `bare.fits`, the images alone without their scene; `scene.toml` has what the
-/// scene says.
+/// A desk with `images.fits`, made with `planted`, and `bare.fits`, the images alone without their
+/// scene; `scene.toml` has what the scene says.
 fn desk(planted: &[&str]) -> Desk {
     let desk = Desk::with_images(&[&SET, planted].concat());
     strip(&desk);
@@ -86,10 +88,12 @@ fn far_off_plate_scale_is_named_in_the_keys_of_the_scene() {
     let json = desk.json(&check("bare.fits", &["--json", "--set", &pixel]));
     assert_eq!(json["cause"], "plate scale or wavelength", "{json}");
     let value: f64 = json["settings"]["image.pixel_mas"].as_str().unwrap().parse().unwrap();
-    // The model's own error is a thousandth of the plate scale, and corrected images are left with noise.
+    // The model's own error is a thousandth of the plate scale, and corrected images are left with
+    // noise.
     assert!((value / mas(2.12) - 1.0).abs() < 2e-3, "{json}");
     assert!(json["reduced_chi2_corrected"].as_f64().unwrap() < 1.3, "{json}");
-    // Of a pitch the focal length may be what is wrong: 2 pixels per λ/D are 2 µm · 93.6 m / 5.2 m / 18 µm.
+    // Of a pitch the focal length may be what is wrong: 2 pixels per λ/D are 2 µm · 93.6 m / 5.2 m
+    // / 18 µm.
     let lengths = ["image.focal_length_m=93.6", "image.pixel_pitch_um=18"].map(|setting| ["--set", setting]);
     let json = desk.json(&check("bare.fits", &[&["--json"][..], &lengths.concat()].concat()));
     let explanation = finding(&json, "plate scale or wavelength")["explanation"].as_str().unwrap();
@@ -118,7 +122,8 @@ fn strict_sets_the_exit_status_for_a_fault() {
     );
 }
 
-/// The scene in a file is what its images were made or reduced with, and no evidence against a scene that was corrected since.
+/// The scene in a file is what its images were made or reduced with, and no evidence against a
+/// scene that was corrected since.
 #[test]
 #[ignore = "merge: 10 s"]
 fn a_corrected_plate_scale_is_not_set_back_to_that_of_the_file() {
@@ -180,7 +185,8 @@ fn a_noise_that_is_too_small_is_named() {
     desk.edit_images("images.fits", "counts.fits", |images| images.mapv_inplace(|electrons| electrons / 2.5));
     let json = desk.json(&check("counts.fits", &["--json"]));
     assert_eq!(json["cause"], "noise", "{json}");
-    // The read noise of 20 e is 8 counts, and the photons of E electrons have √(E/2.5²) for √(E/2.5): a χ² from 0.16 to 0.4.
+    // The read noise of 20 e is 8 counts, and the photons of E electrons have √(E/2.5²) for
+    // √(E/2.5): a χ² from 0.16 to 0.4.
     assert!((0.16..0.45).contains(&json["reduced_chi2"].as_f64().unwrap()), "{json}");
     assert!(finding(&json, "noise")["explanation"].as_str().unwrap().contains("image.gain_e_per_adu"), "{json}");
 }
@@ -192,7 +198,8 @@ fn a_gradient_of_the_light_is_named() {
     let json = desk.json(&check("bare.fits", &["--json"]));
     assert_eq!(json["cause"], "illumination", "{json}");
     let value: f64 = json["settings"]["pupil.illumination_x"].as_str().unwrap().parse().unwrap();
-    // The sign is that of the scene's coordinates; a fifth of the slope covers noise and the modes' part in it.
+    // The sign is that of the scene's coordinates; a fifth of the slope covers noise and the modes'
+    // part in it.
     assert!((value - 0.15).abs() < 0.03, "{json}");
 }
 
@@ -216,12 +223,14 @@ fn an_image_in_focus_where_the_scene_has_a_defocus_is_named() {
     let json = desk.json(&check("bare.fits", &["--set", "image.diversity_focus_waves_rms=1.5", "--json"]));
     assert_eq!(json["cause"], "defocus", "{json}");
     assert_eq!(json["settings"]["image.diversity_focus_waves_rms"], "0", "{json}");
-    // A restart may find NCPA of the opposite focus, which explain the image as well (1.00); the fit of an image in focus, whose even aberrations have
-    // no sign, may end beside its minimum (1.38).
+    // A restart may find NCPA of the opposite focus, which explain the image as well (1.00); the
+    // fit of an image in focus, whose even aberrations have no sign, may end beside its minimum
+    // (1.38).
     assert!(json["reduced_chi2_corrected"].as_f64().unwrap() < 2.0, "{json}");
 }
 
-/// Seven hexagons with three vanes, whose rotation the fit of all optical parameters together does not reach.
+/// Seven hexagons with three vanes, whose rotation the fit of all optical parameters together does
+/// not reach.
 const VANES: [&str; 9] = [
     "pupil.samples=96",
     "pupil.grid_m=5.6",
@@ -258,7 +267,8 @@ fn a_rotation_of_some_degrees_is_named() {
     }
 }
 
-/// Four thin vanes, of which two are 5° from point symmetry: less than a per cent of the light, which bright images show.
+/// Four thin vanes, of which two are 5° from point symmetry: less than a per cent of the light,
+/// which bright images show.
 #[test]
 #[ignore = "merge: several fits of bright images"]
 fn orientations_that_only_bright_images_show_are_named() {
@@ -319,7 +329,8 @@ fn the_scene_of_a_file_may_name_a_file_that_is_elsewhere() {
     desk.refuses(&["check", "images.fits", "--scene", "scene.toml"], &["actuators.txt", "mirror.actuator_file"]);
 }
 
-/// The real frame of NIRC2, in focus (an exposure of 25 s behind the AO), where the folder of data is beside the project.
+/// The real frame of NIRC2, in focus (an exposure of 25 s behind the AO), where the folder of data
+/// is beside the project.
 #[test]
 #[ignore = "merge: a minute, and the data beside the project"]
 fn a_real_frame_in_focus_is_called_one() {

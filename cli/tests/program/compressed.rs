@@ -27,8 +27,9 @@ impl Bits {
     }
 }
 
-/// The Rice stream of 32-bit integers (FITS standard 4.0, section 10.4.1): the first one, then blocks of differences, each as the
-/// number of zeros that its high bits say, a one, and its low bits. The number of low bits is that of half the mean difference.
+/// The Rice stream of 32-bit integers (FITS standard 4.0, section 10.4.1): the first one, then
+/// blocks of differences, each as the number of zeros that its high bits say, a one, and its low
+/// bits. The number of low bits is that of half the mean difference.
 fn rice(pixels: &[i32]) -> Vec<u8> {
     let mut bits = Bits::default();
     let mut last = pixels[0];

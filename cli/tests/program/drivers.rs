@@ -1,11 +1,13 @@
-//! OpenCL drivers that abort or hang when they are loaded: the default mode runs on the CPU, `--device cpu` never loads them,
-//! and a request for a device says why. The driver is a library of a few lines, named as the OpenCL library itself.
+//! OpenCL drivers that abort or hang when they are loaded: the default mode runs on the CPU,
+//! `--device cpu` never loads them, and a request for a device says why. The driver is a library of
+//! a few lines, named as the OpenCL library itself.
 
 use crate::{Desk, Done};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// A library `name` on the desk whose constructor runs `code` and appends a byte to the file `loads`.
+/// A library `name` on the desk whose constructor runs `code` and appends a byte to the file
+/// `loads`.
 fn library(desk: &Desk, name: &str, code: &str) -> bool {
     let source = format!(
         "#include <stdio.h>\n#include <stdlib.h>\n#include <unistd.h>\n__attribute__((constructor)) static void load(void) {{\n\

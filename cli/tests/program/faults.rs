@@ -1,5 +1,6 @@
-//! Faults of the machine and of ours: a status and a sentence, and every file whole or as it was. Most are made on demand,
-//! which only builds with debug assertions can (`COPHASE_FAULT`, see `src/fault.rs`).
+//! Faults of the machine and of ours: a status and a sentence, and every file whole or as it was.
+//! Most are made on demand, which only builds with debug assertions can (`COPHASE_FAULT`, see
+//! `src/fault.rs`).
 
 use crate::{Desk, Done};
 use std::os::unix::process::ExitStatusExt;
@@ -30,7 +31,8 @@ fn missing_driver_is_accepted_by_auto_and_refused_by_opencl() {
     std::fs::create_dir(desk.path("no-drivers")).unwrap();
     let without = |arguments: &[&str]| {
         let mut command = desk.command(arguments);
-        // A loader that reads files finds none; one that is told libraries by name finds none of those either.
+        // A loader that reads files finds none; one that is told libraries by name finds none of
+        // those either.
         command.env("OCL_ICD_VENDORS", desk.path("no-drivers")).env("OCL_ICD_FILENAMES", "");
         Done::from(command.output().unwrap())
     };
@@ -47,8 +49,8 @@ fn missing_driver_is_accepted_by_auto_and_refused_by_opencl() {
     assert!(!desk.files().contains(&"est.fits".to_string()));
 }
 
-/// The process dies at three moments of a write. Before the rename what was there is there, with a temporary file beside it
-/// that nothing reads; after it the new file is whole.
+/// The process dies at three moments of a write. Before the rename what was there is there, with a
+/// temporary file beside it that nothing reads; after it the new file is whole.
 #[test]
 fn killed_writer_leaves_a_complete_file_or_the_old_one() {
     let desk = Desk::with_images(&[]);
@@ -120,7 +122,8 @@ fn a_device_that_was_named_and_fails_is_a_status() {
     }
 }
 
-/// PoCL shows its cores as two devices of one kind. Where another driver has devices, too, they are others.
+/// PoCL shows its cores as two devices of one kind. Where another driver has devices, too, they are
+/// others.
 #[test]
 fn several_devices_make_the_bits_of_one_or_a_status() {
     let Some(first) = opencl() else { return };
@@ -155,8 +158,8 @@ fn several_devices_make_the_bits_of_one_or_a_status() {
     assert_eq!(desk.files(), before);
 }
 
-/// Programs are compiled by the driver, and kept by it from one process to the next. Two processes that begin on one empty
-/// cache do not disturb each other.
+/// Programs are compiled by the driver, and kept by it from one process to the next. Two processes
+/// that begin on one empty cache do not disturb each other.
 #[test]
 fn two_processes_share_one_cache_of_compiled_programs() {
     let Some(device) = opencl() else { return };
@@ -178,8 +181,9 @@ fn two_processes_share_one_cache_of_compiled_programs() {
     assert!(maps[0].iter().zip(&maps[1]).all(|(one, two)| one.to_bits() == two.to_bits()));
 }
 
-/// Across the C boundary such a panic is a status too: of the call, and of every later one on the same object. The fault is
-/// asked for in a process of its own (this test again, with the variable set).
+/// Across the C boundary such a panic is a status too: of the call, and of every later one on the
+/// same object. The fault is asked for in a process of its own (this test again, with the variable
+/// set).
 #[test]
 fn a_thread_that_panics_is_a_status_of_the_c_call() {
     use cophase::capi::*;
@@ -205,7 +209,8 @@ fn a_thread_that_panics_is_a_status_of_the_c_call() {
         col_stride: 1,
     };
     let (mut model, mut session) = (null_mut(), null_mut());
-    // SAFETY: live locals, of which zeros are values; handles that the calls made, and an array that is there.
+    // SAFETY: live locals, of which zeros are values; handles that the calls made, and an array
+    // that is there.
     unsafe {
         let mut info = std::mem::zeroed::<cophase_model_info>();
         let mut options = std::mem::zeroed::<cophase_session_options>();

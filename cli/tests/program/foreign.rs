@@ -1,4 +1,5 @@
-//! Files that a scene names: regular ones of a stated size, and of a scene in somebody else's image file those beside it.
+//! Files that a scene names: regular ones of a stated size, and of a scene in somebody else's image
+//! file those beside it.
 
 use crate::{Desk, SMALL};
 use cophase::io::{FitsReader, FitsWriter, Pixel};

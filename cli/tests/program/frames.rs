@@ -4,29 +4,31 @@ use crate::{Desk, number};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use ndarray::{Array2, Axis, s};
 
-/// 160×120 pixels of an image of 160×160: reduced to 80×60 at Nyquist sampling. The light of the defocused source fills
-/// some 50 of those.
+/// 160×120 pixels of an image of 160×160: reduced to 80×60 at Nyquist sampling. The light of the
+/// defocused source fills some 50 of those.
 const WIDE: [&str; 3] = ["image.samples_per_lambda_over_d=4", "image.pixels=160", "image.rows=120"];
 
 #[test]
 fn frames_wider_than_high_are_read_as_well_as_square_ones() {
     for (settings, [rows, columns]) in [
         (WIDE.to_vec(), [120, 160]),
-        // Higher than wide, and not reduced: 66 pixels at 2.2 per λ/D are 60 at 2, 90 are no whole even number.
+        // Higher than wide, and not reduced: 66 pixels at 2.2 per λ/D are 60 at 2, 90 are no whole
+        // even number.
         (vec!["image.samples_per_lambda_over_d=2.2", "image.pixels=90", "image.columns=66"], [90, 66]),
         (vec!["image.pixels=80", "image.rows=64", "image.columns=72"], [64, 72]),
     ] {
         let desk = Desk::with_images(&settings);
         let cube = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
         assert_eq!(cube.dim(), (1, rows, columns));
-        // Both maps within their error bars: rows and columns that changed places would give tens of nanometres.
+        // Both maps within their error bars: rows and columns that changed places would give tens
+        // of nanometres.
         let (json, err) = desk.estimates_well("images.fits", &[]);
         assert_eq!((&json["status"], err.as_str()), (&"ok".into(), ""), "{settings:?}");
         let square = [&settings[..], &["image.rows=", "image.columns="]].concat();
         let (whole, _) = Desk::with_images(&square).estimates_well("images.fits", &[]);
         for sigma in ["phasing_sigma_nm", "ncpa_sigma_nm"] {
-            // What is cut off are the wings: the error bars grow by what the light out there knew, a few per cent; the
-            // draws of the noise differ, which moves them by half a per cent.
+            // What is cut off are the wings: the error bars grow by what the light out there knew,
+            // a few per cent; the draws of the noise differ, which moves them by half a per cent.
             let ratio = number(&json, sigma) / number(&whole, sigma);
             println!("{settings:?} {sigma}: {} nm, {ratio} of the square frame's", number(&json, sigma));
             assert!((0.99..1.3).contains(&ratio), "{ratio}");
@@ -36,7 +38,8 @@ fn frames_wider_than_high_are_read_as_well_as_square_ones() {
 
 #[test]
 fn a_strip_is_fitted_along_its_whole_length() {
-    // Half of the columns that carry signal: the fitted part is as high as the frame, and has nothing beyond its sides.
+    // Half of the columns that carry signal: the fitted part is as high as the frame, and has
+    // nothing beyond its sides.
     let desk = Desk::with_images(&["image.columns=32"]);
     let (strip, _) = desk.estimates_well("images.fits", &[]);
     let (square, _) = desk.estimates_well("images.fits", &["--set", "image.crop_pixels=32"]);

@@ -1,4 +1,5 @@
-//! What the header of an image file says: unit, gain, read noise, wavelength, pixel scale, and whether the scene agrees.
+//! What the header of an image file says: unit, gain, read noise, wavelength, pixel scale, and
+//! whether the scene agrees.
 
 use crate::{Desk, Done, SMALL, number, text_column};
 use cophase::io::{Card, FitsReader, FitsWriter, Pixel};
@@ -7,7 +8,8 @@ use serde_json::Value;
 const CLEAN: [&str; 5] = ["estimate", "images.fits", "-o", "clean.fits", "--json"];
 
 impl Desk {
-    /// Writes the images of `images.fits` over `divisor` in `unit` (no unit where it is empty), with these cards and the truth.
+    /// Writes the images of `images.fits` over `divisor` in `unit` (no unit where it is empty),
+    /// with these cards and the truth.
     fn write_images(&self, name: &str, divisor: f64, unit: &str, cards: &[(&str, Card)]) {
         let mut file = FitsReader::open(self.path("images.fits")).unwrap();
         let mut copy = FitsWriter::create(self.path(name)).unwrap();
@@ -139,7 +141,8 @@ fn a_file_that_contradicts_the_scene_is_refused() {
     // What the command line says goes before what the file says.
     let (json, _) = desk.estimate("other.fits", &["--set", "image.wavelength_nm=2000"]);
     assert_eq!(number(&json, "phasing_rms_nm"), clean);
-    // The exposure counts where the scene names it, and for an estimate that reads it: no modal one does.
+    // The exposure counts where the scene names it, and for an estimate that reads it: no modal one
+    // does.
     agree("EXPTIME", 30.0.into());
     std::fs::write(desk.path("scene.toml"), SMALL.replace("[image]", "[image]\nexposure_s = 10")).unwrap();
     agree("EXPTIME", 30.0.into());

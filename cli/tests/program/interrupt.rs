@@ -8,20 +8,22 @@ use std::io::Write;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// Time from the scene to the signal in which the program reads the scene, or builds the model and begins to retrieve.
+/// Time from the scene to the signal in which the program reads the scene, or builds the model and
+/// begins to retrieve.
 const MOMENT: Duration = Duration::from_millis(300);
-/// Longest time from the signal to the end: on two cores under five times their load it takes 0.5 to 2 s. The work itself would take
-/// minutes.
+/// Longest time from the signal to the end: on two cores under five times their load it takes 0.5
+/// to 2 s. The work itself would take minutes.
 const PROMPT: Duration = Duration::from_secs(10);
 
 impl Desk {
-    /// Starts an estimate of `images` whose scene comes through a pipe, and gives the open pipe: the program catches signals before it
-    /// reads the scene.
+    /// Starts an estimate of `images` whose scene comes through a pipe, and gives the open pipe:
+    /// the program catches signals before it reads the scene.
     fn waiting_for_its_scene(&self, images: &str, options: &[&str]) -> (Child, File) {
         self.waiting(images, options, "")
     }
 
-    /// As [`Desk::waiting_for_its_scene`], with `threads` as the number of threads in the environment, where it is not empty.
+    /// As [`Desk::waiting_for_its_scene`], with `threads` as the number of threads in the
+    /// environment, where it is not empty.
     fn waiting(&self, images: &str, options: &[&str], threads: &str) -> (Child, File) {
         let pipe = self.path("pipe.toml");
         let name = std::ffi::CString::new(pipe.to_str().unwrap()).unwrap();
@@ -55,7 +57,8 @@ fn was_stopped(child: Child) -> String {
     done.err
 }
 
-/// The program waits for its scene from a pipe: by then it catches signals, and nothing depends on how fast it is.
+/// The program waits for its scene from a pipe: by then it catches signals, and nothing depends on
+/// how fast it is.
 #[test]
 fn ctrl_c_stops_and_leaves_nothing() {
     let desk = Desk::with_images(&[]);
@@ -70,7 +73,8 @@ fn ctrl_c_stops_and_leaves_nothing() {
     assert_eq!(desk.files(), before);
 }
 
-/// A read that looks at no flag: the scene is never written. Of a hundred thousand threads that are asked for a few are started.
+/// A read that looks at no flag: the scene is never written. Of a hundred thousand threads that are
+/// asked for a few are started.
 #[test]
 fn sigterm_ends_work_that_reaches_no_safe_place() {
     let desk = Desk::with_images(&[]);

@@ -1,4 +1,5 @@
-//! Memory: work that the machine cannot hold is refused with the key and both figures, and what runs out is said.
+//! Memory: work that the machine cannot hold is refused with the key and both figures, and what
+//! runs out is said.
 
 use crate::{Desk, Done};
 use std::process::Command;
@@ -50,8 +51,8 @@ fn karhunen_loeve_modes_beyond_the_memory_are_refused() {
     limited(&desk, 4_000_000, &arguments).failed(&arguments, &words);
 }
 
-/// At each limit the result is an estimate or one sentence, and never a signal. The loader itself needs some 200 MB of addresses in a
-/// build with debugging information.
+/// At each limit the result is an estimate or one sentence, and never a signal. The loader itself
+/// needs some 200 MB of addresses in a build with debugging information.
 #[test]
 fn estimate_out_of_memory_is_reported() {
     let desk = Desk::with_images(&["pupil.samples=128", "image.pixels=256"]);

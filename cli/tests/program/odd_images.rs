@@ -6,7 +6,8 @@ use ndarray::{Array2, Axis, s};
 
 #[test]
 fn bad_pixels_are_masked_and_counted() {
-    // Oversampled: without bad pixels it would be reduced to Nyquist sampling, where each would spoil its surroundings.
+    // Oversampled: without bad pixels it would be reduced to Nyquist sampling, where each would
+    // spoil its surroundings.
     let desk = Desk::with_images(&["image.samples_per_lambda_over_d=4", "image.pixels=128"]);
     let hot = [(64, 70), (50, 50), (80, 61)];
     desk.edit_images("images.fits", "odd.fits", |images| {
@@ -28,7 +29,8 @@ fn bad_pixels_are_masked_and_counted() {
     desk.edit_images("odd.fits", "known.fits", |images| images[[0, 50, 50]] = f64::NAN);
     let (_, err) = desk.estimates_well("known.fits", &["--mask", "mask.fits"]);
     assert!(err.contains("known.fits: 2 pixels are not finite"), "{err}");
-    // Marked pixels need not be found; unmarked they ruin the fit, which finds them. Either way five take no part.
+    // Marked pixels need not be found; unmarked they ruin the fit, which finds them. Either way
+    // five take no part.
     let counts = || {
         let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
         ["BAD_PIXELS", "REJECTED_PIXELS"].map(|name| file.i64_column("IMAGES", name).unwrap())
@@ -181,7 +183,8 @@ fn a_truth_on_another_grid_is_left_out_of_the_table() {
     assert!(done.out.contains("phasing") && !done.out.contains("residual"), "{}", done.out);
 }
 
-/// The axis of 65 rows is on row 32, and an estimate takes the first 64 of them; 57 columns have it on column 28.
+/// The axis of 65 rows is on row 32, and an estimate takes the first 64 of them; 57 columns have it
+/// on column 28.
 #[test]
 fn images_of_an_odd_size_are_made_and_estimated() {
     let desk = Desk::with_images(&["image.pixels=65", "image.columns=57"]);
@@ -189,7 +192,8 @@ fn images_of_an_odd_size_are_made_and_estimated() {
     assert_eq!(images.dim(), (1, 65, 57));
     let (json, _) = desk.estimates_well("images.fits", &[]);
     assert_eq!(json["status"], "ok");
-    // A pixel at 2 per λ/D is a tilt of λ/2 over the grid, some 250 nm RMS; the star is on the axis but for the tilt of the aberrations.
+    // A pixel at 2 per λ/D is a tilt of λ/2 over the grid, some 250 nm RMS; the star is on the axis
+    // but for the tilt of the aberrations.
     let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
     for name in ["TIP_NM", "TILT_NM"] {
         let nm = file.f64_column("IMAGES", name).unwrap()[0];

@@ -68,7 +68,8 @@ fn simulated_slopes_are_written_in_the_form_of_the_scene() {
     }
 }
 
-/// Writes the image of `truth` as `name`: pixel (row, column) is that of `source(pixels, row, column)` of the telescope's.
+/// Writes the image of `truth` as `name`: pixel (row, column) is that of
+/// `source(pixels, row, column)` of the telescope's.
 fn write_image(
     desk: &Desk,
     name: &str,
@@ -82,7 +83,8 @@ fn write_image(
     file.finish().unwrap();
 }
 
-/// Writes two images of the scene in `desk`: as it is, and with segment 1 moved by `poke_nm`, as [`write_image`].
+/// Writes two images of the scene in `desk`: as it is, and with segment 1 moved by `poke_nm`, as
+/// [`write_image`].
 fn write_poke(desk: &Desk, poke_nm: f64, source: impl Fn(usize, usize, usize) -> (usize, usize)) {
     let scene = Scene::from_file(desk.path("scene.toml")).unwrap();
     let telescope = Telescope::new(&scene).unwrap();
@@ -94,8 +96,8 @@ fn write_poke(desk: &Desk, poke_nm: f64, source: impl Fn(usize, usize, usize) ->
     }
 }
 
-/// As [`write_poke`], for the actuator at `place_m` of the scene's mirror: NCPA of astigmatism alone, and with its influence. Gives
-/// the number of the actuator.
+/// As [`write_poke`], for the actuator at `place_m` of the scene's mirror: NCPA of astigmatism
+/// alone, and with its influence. Gives the number of the actuator.
 fn write_actuator_poke(
     desk: &Desk,
     place_m: [f64; 2],
@@ -173,7 +175,8 @@ fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
     let json = desk.answer(&check, &[]);
     let set = serde_json::json!({"image.flip_x": "true"});
     assert_eq!((&json["cause"], &json["settings"]), (&"orientation".into(), &set), "{json}");
-    // In the scene's own orientation it is the mirror image of segment 1 that moved, which is named first.
+    // In the scene's own orientation it is the mirror image of segment 1 that moved, which is named
+    // first.
     let (_, sentence) = orientation(&json);
     let places =
         ["in the scene's own orientation segment 3 moved", "a flip left to right"].map(|fact| sentence.find(fact));
@@ -188,7 +191,8 @@ fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
     assert!(!done.err.contains("orientation"), "{}", done.err);
 }
 
-/// The segment that moved is named, and neither a flip nor a rotation with which the images are explained worse.
+/// The segment that moved is named, and neither a flip nor a rotation with which the images are
+/// explained worse.
 #[test]
 fn a_wrong_segment_number_is_no_orientation() {
     let desk = Desk::with_scene();
@@ -226,7 +230,8 @@ fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
     let desk = Desk::with_scene();
     // An actuator off the axes of the pupil, which are 30 degrees apart.
     let mirror = "[mirror]\nactuators_across = 5\npitch_m = 1.1\ncoupling = 0.15\n";
-    // The shape of an actuator is finer than the modes: without larger models, which take their time.
+    // The shape of an actuator is finer than the modes: without larger models, which take their
+    // time.
     let modes = "[estimate]\nmodel = \"scene\"\n";
     std::fs::write(desk.path("scene.toml"), SMALL.to_string() + mirror + modes).unwrap();
     let actuator = write_actuator_poke(&desk, [1.1, 1.1], 120.0, |n, y, x| ((n - y) % n, x)).to_string();
@@ -241,8 +246,9 @@ fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
     assert_eq!(desk.run(&both.iter().map(String::as_str).collect::<Vec<_>>()).status, 2);
 }
 
-/// With three vanes the pupil equals its mirror image left to right, and not that up to down: an image flipped up to down is that of the opposite defocus.
-/// The check names both, and a poke decides.
+/// With three vanes the pupil equals its mirror image left to right, and not that up to down: an
+/// image flipped up to down is that of the opposite defocus. The check names both, and a poke
+/// decides.
 #[test]
 #[ignore = "merge: 16 s"]
 fn poke_distinguishes_a_flip_from_the_sign_of_the_defocus() {

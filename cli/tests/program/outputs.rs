@@ -1,4 +1,5 @@
-//! Outputs that would destroy something are refused before the work; compressed outputs; images from standard input.
+//! Outputs that would destroy something are refused before the work; compressed outputs; images
+//! from standard input.
 
 use crate::{Desk, Done};
 use cophase::io::FitsReader;

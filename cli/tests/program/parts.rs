@@ -1,11 +1,13 @@
-//! Estimates in parts: `estimate --part I/N` and `merge` make the file of one run, and parts that do not belong together are refused.
+//! Estimates in parts: `estimate --part I/N` and `merge` make the file of one run, and parts that
+//! do not belong together are refused.
 
 use crate::{Desk, Done};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use ndarray::s;
 use std::path::Path;
 
-/// The bytes of a FITS file without the cards on the time of the run, and without the checksums, which depend on it.
+/// The bytes of a FITS file without the cards on the time of the run, and without the checksums,
+/// which depend on it.
 pub fn timeless(path: &Path) -> Vec<u8> {
     let mut bytes = std::fs::read(path).unwrap();
     for card in bytes.chunks_mut(80) {
@@ -25,7 +27,8 @@ pub fn are_the_same(one: &Path, other: &Path) {
     assert_eq!(first, None, "they differ first at this byte");
 }
 
-/// A desk with `images.fits`: twelve images, of which one has cosmic rays, one no star, and one the double flux.
+/// A desk with `images.fits`: twelve images, of which one has cosmic rays, one no star, and one the
+/// double flux.
 pub fn sequence() -> Desk {
     let desk = Desk::with_images(&["image.count=12"]);
     desk.edit_images("images.fits", "spoilt.fits", |images_e| {
@@ -74,7 +77,8 @@ fn few_images_channels_and_larger_models_have_parts_too() {
     desk.succeeds(&["estimate", "images.fits", "-o", "whole.fits"]);
     assert!(merged(&desk, &["images.fits"], 2).starts_with("0 fits"));
     are_the_same(&desk.path("whole.fits"), &desk.path("merged.fits"));
-    // Segments are tilted, which the scene does not say: the merged estimate extends the model and fits all images again.
+    // Segments are tilted, which the scene does not say: the merged estimate extends the model and
+    // fits all images again.
     let tilted = ["image", "scene.toml", "-o", "tilted.fits", "--set", "image.count=2", "--set"];
     desk.succeeds(&[&tilted[..], &["aberrations.segment_tip_tilt_rms_nm=40"]].concat());
     desk.succeeds(&["estimate", "tilted.fits", "-o", "whole.fits"]);

@@ -1,7 +1,8 @@
-//! `estimate --part rank`: under mpirun any number of processes makes the file of one run, and a process that fails or dies ends the
-//! job with a sentence and leaves no half-written file.
+//! `estimate --part rank`: under mpirun any number of processes makes the file of one run, and a
+//! process that fails or dies ends the job with a sentence and leaves no half-written file.
 //!
-//! Where Open MPI is not installed the tests that start it say so and pass, unless `COPHASE_REQUIRE_MPI=1`.
+//! Where Open MPI is not installed the tests that start it say so and pass, unless
+//! `COPHASE_REQUIRE_MPI=1`.
 
 use crate::parts::{are_the_same, sequence};
 use crate::{Desk, Done};
@@ -31,7 +32,8 @@ fn any_number_of_ranks_makes_the_file_of_one_run() {
     }
 }
 
-/// A job that ends with a nonzero status and the words, without an estimate and without temporary files.
+/// A job that ends with a nonzero status and the words, without an estimate and without temporary
+/// files.
 fn fails(desk: &Desk, command: Command, words: &[&str]) {
     let done = run(command);
     assert_ne!(done.status, 0);

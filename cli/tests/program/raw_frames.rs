@@ -16,7 +16,8 @@ pub const DITHERS: [(usize, usize); 5] = [(50, 50), (50, 150), (150, 50), (150, 
 /// The scene of the raw frames.
 pub const RAW: [&str; 4] = ["--set", "image.read_noise_e=14.142", "--set", "image.saturation_adu=9000"];
 
-/// Normal numbers: sums of twelve uniform ones of a linear congruential generator, whose quality suffices for noise.
+/// Normal numbers: sums of twelve uniform ones of a linear congruential generator, whose quality
+/// suffices for noise.
 pub struct Noise(pub u64);
 
 impl Noise {
@@ -40,7 +41,8 @@ pub fn response() -> Array2<f64> {
     response
 }
 
-/// Dark of one coadd, counts: bias of four quadrants, a pattern, and hot pixels, three of them under the stars.
+/// Dark of one coadd, counts: bias of four quadrants, a pattern, and hot pixels, three of them
+/// under the stars.
 pub fn dark() -> Array2<f64> {
     let mut noise = Noise(8);
     let mut dark = Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {

@@ -1,4 +1,5 @@
-//! `cophase reduce`: raw frames made from simulated images, with all that a detector and a sky add, become the images again.
+//! `cophase reduce`: raw frames made from simulated images, with all that a detector and a sky add,
+//! become the images again.
 
 use crate::channels::PAIR;
 use crate::raw_frames::{
@@ -38,15 +39,18 @@ fn raw_frames_become_the_images_again() {
             .clone();
         // The centroid of a spot that aberrations deform is a few pixels from the axis.
         assert!((number(row, "x") - x as f64).hypot(number(row, "y") - y as f64) < 4.0, "{row}");
-        // Background: the sky's, as far as a median of 36,000 pixels of 20 e each knows it, and the star's halo.
+        // Background: the sky's, as far as a median of 36,000 pixels of 20 e each knows it, and the
+        // star's halo.
         assert!((number(row, "background_e") - SKY_E).abs() < 3.0, "{row}");
     }
-    // Reads of the frame and of four others (v(4) = 0.298, at corners v(3)), with the photons of their sky.
+    // Reads of the frame and of four others (v(4) = 0.298, at corners v(3)), with the photons of
+    // their sky.
     let noise_e = number(&made["channels"][0], "noise_e");
     let expected = ((NOISE_E * NOISE_E + SKY_E) * (1.0 + 0.298)).sqrt();
     assert!((noise_e / expected - 1.0).abs() < 0.03, "{noise_e} e where {expected} e is expected");
 
-    // The scene in the file, and that of the raw frames, whose read noise of a coadd is no contradiction to the noise of the images.
+    // The scene in the file, and that of the raw frames, whose read noise of a coadd is no
+    // contradiction to the noise of the images.
     let text = crate::SMALL.replace("read_noise_e = 20", "read_noise_e = 14.142");
     std::fs::write(desk.path("raw.toml"), text).unwrap();
     for options in [&[][..], &["--scene", "raw.toml"]] {
@@ -177,7 +181,8 @@ fn coadds_that_a_camera_averages_are_summed() {
     let averaged = [&reduce[..], &RAW, &["--set", "image.coadds_are_averaged=true"]].concat();
     let found = number(&desk.json(&averaged)["channels"][0], "noise_e");
     assert!((found / summed - 1.0).abs() < 1e-9, "{found} {summed}");
-    // The star of one frame saturates in every coadd, at a level that counts over the coadds do not reach.
+    // The star of one frame saturates in every coadd, at a level that counts over the coadds do not
+    // reach.
     let saturated = desk.path("raw/n0000.fits");
     rewrite(&saturated, &|counts| counts.min(1000.0));
     let level = ["--set", "image.read_noise_e=14.142", "--set", "image.saturation_adu=1000"];
@@ -185,7 +190,8 @@ fn coadds_that_a_camera_averages_are_summed() {
     assert!(!used && why.contains("saturated") && why.contains("image.coadds_are_averaged"), "{why}");
 }
 
-/// Cubes of two channels, which a card distinguishes, with frames of the sky and darks: from raw frames to the estimate of the pair.
+/// Cubes of two channels, which a card distinguishes, with frames of the sky and darks: from raw
+/// frames to the estimate of the pair.
 #[test]
 fn cubes_of_two_channels_with_a_sky_give_a_pair_estimate() {
     let desk = Desk::with_scene();
@@ -198,7 +204,8 @@ fn cubes_of_two_channels_with_a_sky_give_a_pair_estimate() {
     for (images, (name, stage_mm)) in
         read_channels(desk.path("pair.fits"), None).unwrap().into_iter().zip([("p.fits", -4.0), ("m.fits", 4.0)])
     {
-        // The telescope did not move: the star is at one place in all planes, and only frames of the sky have no star there.
+        // The telescope did not move: the star is at one place in all planes, and only frames of
+        // the sky have no star there.
         let planes: Vec<_> =
             images.data.outer_iter().map(|image| star(&image.to_owned(), (100, 90), &mut noise)).collect();
         let planes: Vec<_> = planes.iter().map(|plane| plane.view()).collect();
@@ -237,8 +244,9 @@ fn cubes_of_two_channels_with_a_sky_give_a_pair_estimate() {
     for (at, part) in ["phasing", "ncpa"].into_iter().enumerate() {
         let key = format!("{part}_sigma_nm");
         let (sigma, bound) = (number(&found, &key), number(&perfect, &key));
-        // Beside the noise of perfect images that of the sky (60 photons beside 400 e² of the reads), of its master of five frames, and
-        // of the flat: a fifth. A residual of 7 or 12 unknowns is within twice its expectation in 999 of 1,000 draws.
+        // Beside the noise of perfect images that of the sky (60 photons beside 400 e² of the
+        // reads), of its master of five frames, and of the flat: a fifth. A residual of 7 or 12
+        // unknowns is within twice its expectation in 999 of 1,000 draws.
         assert!(sigma < 1.3 * bound && residuals[at] < 2.0 * sigma, "{part}: {residuals:?} {sigma} {bound}");
     }
 }
@@ -370,7 +378,8 @@ fn bad_input_is_refused() {
     let gain = ["reduce", "raw", "--scene", "gain.toml", "-o", "out.fits"];
     desk.refuses(&gain, &["GAIN = 4", "image.gain_e_per_adu = 2"]);
     desk.succeeds(&[&gain[..], &["--set", "image.gain_e_per_adu=2"]].concat());
-    // An output that is an input; one that replaces an earlier reduction in the folder of the raw frames.
+    // An output that is an input; one that replaces an earlier reduction in the folder of the raw
+    // frames.
     desk.refuses(&["reduce", "raw", "--scene", "scene.toml", "-o", "raw/n1.fits"], &["cannot be its output"]);
     for _ in 0..2 {
         desk.succeeds(&["reduce", "raw", "--scene", "scene.toml", "-o", "raw/out.fits"]);

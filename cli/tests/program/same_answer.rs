@@ -1,8 +1,9 @@
-//! The same frames give the same answer at every interface: the program, Rust, C, Python and Octave, to the last bit of
-//! each coefficient, error bar and χ², with the same statuses, the same rejected pixels and the same warnings.
+//! The same frames give the same answer at every interface: the program, Rust, C, Python and
+//! Octave, to the last bit of each coefficient, error bar and χ², with the same statuses, the same
+//! rejected pixels and the same warnings.
 //!
-//! Where Python or Octave is not installed its part says so and passes, unless `COPHASE_REQUIRE_PYTHON=1` or
-//! `COPHASE_REQUIRE_OCTAVE=1`.
+//! Where Python or Octave is not installed its part says so and passes, unless
+//! `COPHASE_REQUIRE_PYTHON=1` or `COPHASE_REQUIRE_OCTAVE=1`.
 
 use crate::{Desk, SMALL};
 use cophase::Precision;
@@ -31,7 +32,8 @@ impl Case {
         Self::of_source_seen_as(settings, &[])
     }
 
-    /// Images of the small scene with `settings`, to be estimated by a scene with `assumed` as well.
+    /// Images of the small scene with `settings`, to be estimated by a scene with `assumed` as
+    /// well.
     fn of_source_seen_as(settings: &[(&str, &str)], assumed: &[(&str, &str)]) -> Self {
         let made = Scene::from_text(SMALL, Path::new("")).unwrap().with(settings).unwrap();
         let images_e = cophase::source::simulate(&made).unwrap().images_e;
@@ -247,7 +249,8 @@ fn frames_with_one_row_and_one_column_more() {
 #[test]
 #[ignore = "merge: one of the cases beyond three"]
 fn modes_with_a_prior() {
-    // The model adds Zernikes of its own where the scene leaves that open: to Noll 45, for any images.
+    // The model adds Zernikes of its own where the scene leaves that open: to Noll 45, for any
+    // images.
     let open_scene = |last: &str| {
         let case = Case::of_source(&[("aberrations.ncpa_zernikes", last)]);
         let without = |line: &&str| !line.contains("exact_zernikes") && !line.contains("ncpa_count");
@@ -291,7 +294,8 @@ fn a_map_sequence_with_telemetry() {
     assert_eq!(found.segment_modes(), 21);
 }
 
-/// Compares all interfaces on a sequence behind a loop, by a scene with `settings`; returns what Rust found.
+/// Compares all interfaces on a sequence behind a loop, by a scene with `settings`; returns what
+/// Rust found.
 fn is_the_same_map_sequence(settings: &[(&str, &str)]) -> Estimate {
     let path = root().join("tests/c_api/sky.toml");
     let scene = Scene::from_file(&path).unwrap().with(settings).unwrap();

@@ -40,7 +40,8 @@ fn a_truth_of_another_pupil_is_refused() {
     desk.refuses(&["compare", "est.fits", "--truth", "ring.fits"], &["ring.fits", "true phasing", "no value"]);
 }
 
-/// The figure above a map is that of the report, and an estimate that is not sound says so on its picture.
+/// The figure above a map is that of the report, and an estimate that is not sound says so on its
+/// picture.
 #[test]
 fn a_picture_has_the_figures_of_the_report_and_its_warnings() {
     let desk = Desk::with_images(&[]);

@@ -1,4 +1,5 @@
-//! `cophase simulate`: a file that 'estimate' reads, the figures that scripts read, loops that run away.
+//! `cophase simulate`: a file that 'estimate' reads, the figures that scripts read, loops that run
+//! away.
 
 use crate::parts::timeless;
 use crate::{Desk, number};

@@ -1,4 +1,5 @@
-//! `cophase compare` with the truth of another program, and maps of the optical path difference in the convention of POPPY and STPSF.
+//! `cophase compare` with the truth of another program, and maps of the optical path difference in
+//! the convention of POPPY and STPSF.
 
 use crate::{Desk, SMALL, number};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
@@ -76,8 +77,9 @@ fn a_truth_on_another_grid_is_resampled_without_its_edges() {
     let desk = estimated();
     let (own, _) = residuals(&desk, &["--truth", "images.fits"]);
     let all = number(&desk.json(&["compare", "est.fits", "--json"]), "samples") as u64;
-    // The same aberrations on a finer grid, a coarser one and a wider one: draws are scaled to the RMS over the samples of a grid, which
-    // changes pistons of 60 nm by 0.1 %, and the interpolation of Zernikes to Noll 10 from 32 samples has errors of some 0.1 nm.
+    // The same aberrations on a finer grid, a coarser one and a wider one: draws are scaled to the
+    // RMS over the samples of a grid, which changes pistons of 60 nm by 0.1 %, and the
+    // interpolation of Zernikes to Noll 10 from 32 samples has errors of some 0.1 nm.
     let grids =
         [("fine", "pupil.samples=250", 0.15), ("coarse", "pupil.samples=32", 0.6), ("wide", "pupil.grid_m=6.5", 0.45)];
     for (name, setting, most_out) in grids {
@@ -131,7 +133,8 @@ fn an_estimate_becomes_an_opd_map_and_a_truth_comes_from_one() {
     let (own, _) = residuals(&desk, &["--truth-opd", "opd.fits"]);
     assert!(own[0].is_none() && own[1].is_none() && own[2].unwrap() < 1e-6, "{own:?}");
 
-    // A map of focus, nm, without the segments' pistons and tilts, which its cards have: in metres, the tilts over half of a segment.
+    // A map of focus, nm, without the segments' pistons and tilts, which its cards have: in metres,
+    // the tilts over half of a segment.
     let grid = Grid::new(256, pupil.grid.width_m()).unwrap();
     let focus_m = Array2::from_shape_fn((256, 256), |(y, x)| {
         1e-8 * (grid.coordinate_m(x).powi(2) + grid.coordinate_m(y).powi(2))
@@ -176,7 +179,8 @@ fn an_estimate_becomes_an_opd_map_and_a_truth_comes_from_one() {
     desk.succeeds(&ESTIMATE);
     let ((by_opd, _), (by_maps, _)) =
         (residuals(&desk, &["--truth-opd", "stpsf.fits"]), residuals(&desk, &["--truth", "images.fits"]));
-    // The estimate has no tilts of segments: what is left of both truths is the same, some nm, but for the samples at edges.
+    // The estimate has no tilts of segments: what is left of both truths is the same, some nm, but
+    // for the samples at edges.
     println!("{by_opd:?} {by_maps:?}");
     for (opd, maps) in by_opd.iter().zip(by_maps) {
         assert!((opd.unwrap() - maps.unwrap()).abs() < 0.1 * maps.unwrap(), "{by_opd:?} {by_maps:?}");

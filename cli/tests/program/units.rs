@@ -1,5 +1,5 @@
-//! Files that the program writes: units of the FITS standard, so that strict readers such as astropy accept them, the scale of
-//! every map, and the segments of corrections.
+//! Files that the program writes: units of the FITS standard, so that strict readers such as
+//! astropy accept them, the scale of every map, and the segments of corrections.
 
 use crate::{Desk, Done};
 use cophase::io::{Card, FitsReader, PixelUnit, read_images};
@@ -77,7 +77,8 @@ fn number(file: &mut FitsReader, hdu: &str, key: &str) -> Option<f64> {
 
 /// That every map on the pupil's grid has its scale.
 fn maps_have_their_scale(desk: &Desk) {
-    // Simulated images have the true phasing and NCPA; an estimate of them has both, the maps, and two of error bars.
+    // Simulated images have the true phasing and NCPA; an estimate of them has both, the maps, and
+    // two of error bars.
     for (name, samples, count) in
         [("images.fits", 64, 2), ("sky.fits", 64, 2), ("est.fits", 64, 7), ("map.fits", 64, 5)]
     {
@@ -100,7 +101,8 @@ fn maps_have_their_scale(desk: &Desk) {
     }
 }
 
-/// That a correction has the number, the ring and the place of its segment, as the estimate has them.
+/// That a correction has the number, the ring and the place of its segment, as the estimate has
+/// them.
 fn corrections_name_their_segments(desk: &Desk) {
     let [mut map, mut commands] = ["map.fits", "commands.fits"].map(|name| FitsReader::open(desk.path(name)).unwrap());
     for key in ["SEGMENT", "RING"] {
@@ -116,7 +118,8 @@ fn corrections_name_their_segments(desk: &Desk) {
     assert!(add_nm.len() == 7 && add_nm.iter().any(|nm| nm.abs() > 1.0), "{add_nm:?}");
 }
 
-/// What astropy says of the files: units of the standard, checksums, cards. Where it is not installed nothing is checked.
+/// What astropy says of the files: units of the standard, checksums, cards. Where it is not
+/// installed nothing is checked.
 #[test]
 fn astropy_reads_the_files_without_a_warning() {
     const READ: &str = "

@@ -115,7 +115,8 @@ fn the_way_of_the_paper_and_single_precision_run() {
     let arguments: Vec<&str> =
         ["estimate", "images.fits", "-o", "paper.fits", "--json"].into_iter().chain(options).collect();
     let paper = desk.json(&arguments);
-    // Without a metric it needs several times the evaluations of the default: 21 modes, so at least 21 directions.
+    // Without a metric it needs several times the evaluations of the default: 21 modes, so at least
+    // 21 directions.
     assert!(number(&paper, "evaluations") > number(&ours, "evaluations") && number(&paper, "evaluations") > 21.0);
     // The scene in the output says how it was made.
     assert!(text_column(&desk.path("paper.fits"), "SCENE", "LINE").join("\n").contains("optimizer = \"bfgs\""));
@@ -133,7 +134,8 @@ fn image_cards_agree_with_the_pixels() {
     // A few per cent of the light falls outside the frame.
     let flux: f64 = images.data.index_axis(ndarray::Axis(0), 0).sum();
     assert!((flux / card("FLUX_E") - 1.0).abs() < 0.1, "{flux} of {}", card("FLUX_E"));
-    // λ/(grid_m)/2 in mas; the hexagons are 2·(√3·0.9 + 0.003) m + √3·0.9 m high, which is their widest.
+    // λ/(grid_m)/2 in mas; the hexagons are 2·(√3·0.9 + 0.003) m + √3·0.9 m high, which is their
+    // widest.
     let grid_m = 2.0 * (3f64.sqrt() * 0.9 + 0.003) + 3f64.sqrt() * 0.9;
     let mas = 2e-6 / grid_m / 2.0 * 206_264_806.247;
     assert!((card("PIXSCALE") / mas - 1.0).abs() < 1e-9, "{} mas", card("PIXSCALE"));

@@ -6,8 +6,9 @@ use std::ffi::OsString;
 use std::os::unix::ffi::OsStringExt;
 use std::process::{Command, Stdio};
 
-/// Seconds of a processor and KiB of address space that a command line may take: an estimate of the tiny files here takes a
-/// tenth of a second and 1 GB, for OpenCL and every thread's stack reserve addresses.
+/// Seconds of a processor and KiB of address space that a command line may take: an estimate of the
+/// tiny files here takes a tenth of a second and 1 GB, for OpenCL and every thread's stack reserve
+/// addresses.
 const LIMITS: &str = "ulimit -t 60; ulimit -v 16000000; exec \"$@\"";
 
 /// Verbs that return at once or work on the images here. `simulate`, `plan` and `demo` work for

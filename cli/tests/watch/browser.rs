@@ -1,4 +1,5 @@
-//! The page in a headless Chromium (Debian's package), spoken to through its pipe for debuggers: NUL-terminated JSON on descriptors 3 and 4.
+//! The page in a headless Chromium (Debian's package), spoken to through its pipe for debuggers:
+//! NUL-terminated JSON on descriptors 3 and 4.
 
 use super::page::Site;
 use super::*;
@@ -30,7 +31,8 @@ fn pipe() -> (OwnedFd, OwnedFd) {
 }
 
 impl Browser {
-    /// `None`, with a line that says so, where there is no Chromium; an error with COPHASE_REQUIRE_CHROMIUM=1.
+    /// `None`, with a line that says so, where there is no Chromium; an error with
+    /// COPHASE_REQUIRE_CHROMIUM=1.
     fn start(desk: &Desk) -> Option<Self> {
         let is_there = Command::new("chromium").arg("--version").output().is_ok_and(|output| output.status.success());
         if !is_there {
@@ -41,7 +43,8 @@ impl Browser {
         let ((theirs, to), (from, answers)) = (pipe(), pipe());
         let (theirs, answers) = (theirs.into_raw_fd(), answers.into_raw_fd());
         let mut command = Command::new("chromium");
-        // Without a sandbox, which containers do not allow: the page is ours. No name leads anywhere but to this machine.
+        // Without a sandbox, which containers do not allow: the page is ours. No name leads
+        // anywhere but to this machine.
         command.args([
             "--headless=new",
             "--no-sandbox",
@@ -53,7 +56,8 @@ impl Browser {
         ]);
         command.arg(format!("--user-data-dir={}", desk.path("browser").display()));
         command.env("HOME", desk.path(".")).stdout(Stdio::null()).stderr(Stdio::null());
-        // SAFETY: plain system calls between fork and exec. The descriptors are above 4, or stay where they belong.
+        // SAFETY: plain system calls between fork and exec. The descriptors are above 4, or stay
+        // where they belong.
         unsafe {
             command.pre_exec(move || {
                 // Out of the way first: one may be where the other goes.
@@ -185,7 +189,8 @@ fn the_page_loads_without_an_error_and_shows_each_frame() {
     if std::env::var("COPHASE_BLESS").as_deref() == Ok("1") {
         std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/watch.png"), &picture).unwrap();
     }
-    // On a phone nothing is wider than the window, and text has the size of text; dark has other colours.
+    // On a phone nothing is wider than the window, and text has the size of text; dark has other
+    // colours.
     let ground = "getComputedStyle(document.body).backgroundColor";
     let light = browser.value(ground);
     browser.look(390, 844, true);

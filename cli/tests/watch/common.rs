@@ -7,10 +7,12 @@ use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-/// Nothing here takes longer, on a machine that does other work, too; a test that waits as long has failed.
+/// Nothing here takes longer, on a machine that does other work, too; a test that waits as long has
+/// failed.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A desk with the folder `frames`, and `count` files of one frame each in the folder `made`, which differ by their noise.
+/// A desk with the folder `frames`, and `count` files of one frame each in the folder `made`, which
+/// differ by their noise.
 pub fn desk_with_frames(count: usize) -> Desk {
     let desk = Desk::with_images(&[&format!("image.count={count}")]);
     std::fs::create_dir(desk.path("frames")).unwrap();

@@ -78,7 +78,8 @@ fn a_correction_is_written_and_recognised_when_it_is_applied() {
     let sentences = file.text_column("WARNINGS", "SENTENCE").unwrap();
     assert!(sentences[0].contains(&format!("correction {newest} of this watch")), "{sentences:?}");
 
-    // The correction is not applied: frames of the same aberrations show nothing, and no other is written.
+    // The correction is not applied: frames of the same aberrations show nothing, and no other is
+    // written.
     let bytes = std::fs::read(desk.path("c.fits")).unwrap();
     put(&desk, "before.fits", HALF..HALF + 2);
     correct(&desk);
@@ -98,7 +99,8 @@ fn a_correction_is_written_and_recognised_when_it_is_applied() {
     assert_eq!(said(&desk, "was applied: "), 1, "{}", done.err);
     let kinds: Vec<String> = events(&desk.path("night.db")).into_iter().map(|(kind, _)| kind).collect();
     assert!(kinds.iter().all(|kind| kind == "correction"), "{kinds:?}");
-    // The mirror makes most of the NCPA of nine modes, the segments all of their pistons: a tenth and a third are left, noise included.
+    // The mirror makes most of the NCPA of nine modes, the segments all of their pistons: a tenth
+    // and a third are left, noise included.
     let [before, after] = [1, 2 * HALF as i64].map(|id| rms_nm(&desk, id));
     assert!(after[0] < 0.15 * before[0] && after[1] < 0.33 * before[1], "{before:?} {after:?}");
 

@@ -11,7 +11,8 @@ const KILLS: usize = 12;
 fn killed_watch_loses_and_repeats_no_frame() {
     let kills = std::env::var("COPHASE_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(KILLS);
     let desk = desk_with_frames(40);
-    // The moments are random in the time of a watch, which is not known; the seed makes them the same fractions of a second.
+    // The moments are random in the time of a watch, which is not known; the seed makes them the
+    // same fractions of a second.
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
     let mut next = 0;
     for kill in 0..kills {
@@ -49,7 +50,8 @@ fn store_of_a_killed_watch_names_its_log() {
     let alone = export("alone.db");
     assert!(alone.err.contains("alone.db") && alone.err.contains("night.db-wal"), "{}", alone.err);
     assert_eq!(export("whole.db").err, "");
-    // A watch that ends leaves a store that needs no other file: SQLite may keep an empty log behind one that was killed.
+    // A watch that ends leaves a store that needs no other file: SQLite may keep an empty log
+    // behind one that was killed.
     put(&desk, 1);
     once(&desk);
     assert_eq!(std::fs::metadata(desk.path("night.db-wal")).map_or(0, |log| log.len()), 0);

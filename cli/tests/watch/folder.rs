@@ -26,7 +26,8 @@ fn watch_takes_each_file_once_and_agrees_with_an_estimate() {
     let second = rows(&desk.path("night.db"));
     assert_eq!(second.len(), 3, "{second:?}");
     assert_eq!(second[..2], first[..]);
-    // A session makes the fit that the library's session makes: the modes of the scene, of the same image.
+    // A session makes the fit that the library's session makes: the modes of the scene, of the same
+    // image.
     let scene = cophase::scene::Scene::from_file(desk.path("scene.toml")).unwrap();
     let fitter = std::sync::Arc::new(cophase::modal::ModalFitter::new(&scene, false).unwrap());
     let pointing = fitter.pointing().unwrap();
@@ -59,7 +60,8 @@ fn the_images_of_a_cube_are_frames_and_a_full_estimate_is_one() {
     desk.succeeds(&full);
     let found = rows(&desk.path("full.db"));
     assert_eq!((found.len(), found[0].status.as_str()), (1, "done"), "{found:?}");
-    // Of the modes of the scene, without those that the pipeline adds: 6 or 7 pistons and 14 Zernikes.
+    // Of the modes of the scene, without those that the pipeline adds: 6 or 7 pistons and 14
+    // Zernikes.
     let modes = |row: &Row| row.coefficients.as_ref().unwrap().len() / 8;
     assert_eq!(modes(&found[0]), modes(&rows(&desk.path("night.db"))[0]));
 }
@@ -99,7 +101,8 @@ fn a_file_that_is_written_slowly_is_waited_for() {
         assert_eq!(rows_or_none(&desk), 0);
         file.write_all(piece).unwrap();
         file.flush().unwrap();
-        // Longer than the watch takes for a look; that it is shorter on a busy machine makes the test easier, not wrong.
+        // Longer than the watch takes for a look; that it is shorter on a busy machine makes the
+        // test easier, not wrong.
         std::thread::sleep(Duration::from_millis(300));
     }
     drop(file);

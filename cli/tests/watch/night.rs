@@ -13,7 +13,8 @@ fn put_at(desk: &Desk, made: &str, number: usize) {
     std::fs::File::options().write(true).open(&path).unwrap().set_modified(time).unwrap();
 }
 
-/// Ten frames, and ten more after all segments have moved by half of their errors: the pattern is that of the seed, 60 nm RMS and then 90.
+/// Ten frames, and ten more after all segments have moved by half of their errors: the pattern is
+/// that of the seed, 60 nm RMS and then 90.
 pub fn desk_of_a_night() -> Desk {
     desk_of_a_night_with(|_, _| {})
 }
@@ -26,7 +27,8 @@ pub fn desk_of_a_night_with(edit: impl Fn(usize, &mut Array3<f64>)) -> Desk {
     desk.succeeds(&[&["image", "scene.toml", "-o", "moved.fits"], &set[..]].concat());
     for (part, images) in ["images.fits", "moved.fits"].into_iter().enumerate() {
         for number in 0..10 {
-            // The scene of the second file says what it was made with, which is not what is estimated.
+            // The scene of the second file says what it was made with, which is not what is
+            // estimated.
             desk.edit_images(images, "one.fits", |images| {
                 *images = images.slice(ndarray::s![number..number + 1, .., ..]).to_owned();
                 edit(10 * part + number, images);
@@ -54,13 +56,15 @@ fn a_mirror_that_moves_is_an_alarm_and_one_that_rests_is_none() {
     assert_eq!(done.err.matches("no card has the time of the observation").count(), 1, "{}", done.err);
     for (kind, frame, size_nm, error_nm, since_s, sentence) in &found {
         assert!(kind == "segment" || kind == "wavefront", "{sentence}");
-        // Not before frame 11, the first after the step; a step of 15 to 60 nm is ten error bars, so that two frames prove it.
+        // Not before frame 11, the first after the step; a step of 15 to 60 nm is ten error bars,
+        // so that two frames prove it.
         assert!((11..=12).contains(frame), "{sentence}");
         assert!(size_nm.abs() > 3.0 * error_nm && *error_nm > 0.0, "{sentence}");
         assert!((1_795_579_300.0..=1_795_579_310.0).contains(since_s), "{sentence}");
         assert!(done.err.contains(sentence), "{sentence}");
     }
-    // The tracked state has the step: it is nearer to the mean of the second ten than a single frame is expected to be.
+    // The tracked state has the step: it is nearer to the mean of the second ten than a single
+    // frame is expected to be.
     let file = |column: &str, id: usize| -> Vec<f64> {
         let query = format!("SELECT {column} FROM frames WHERE id = {id}");
         let bytes: Vec<u8> = connection.query_row(&query, [], |row| row.get(0)).unwrap();

@@ -1,4 +1,5 @@
-//! The page: what it answers, and whom it refuses. Requests are bytes on a socket, as an attacker writes them.
+//! The page: what it answers, and whom it refuses. Requests are bytes on a socket, as an attacker
+//! writes them.
 
 use super::*;
 use serde_json::Value;
@@ -226,19 +227,22 @@ fn requests_that_are_odd_large_or_slow_are_refused() {
     }
     assert_eq!(site.send(&format!("GET / HTTP/1.1\nHost: {host}\nContent-Length: 1000000000000")).status, 413);
     assert_eq!(site.send(&format!("GET / HTTP/1.1\nHost: {host}\nTransfer-Encoding: chunked")).status, 413);
-    // Headers and addresses beyond the limit: refused, or closed unanswered while they are still sent.
+    // Headers and addresses beyond the limit: refused, or closed unanswered while they are still
+    // sent.
     let large = "x".repeat(100_000);
     assert!([0, 431].contains(&site.send(&format!("GET / HTTP/1.1\nHost: {host}\nX-Large: {large}")).status));
     assert!([0, 414, 431].contains(&site.send(&format!("GET /{large} HTTP/1.1\nHost: {host}")).status));
     assert!([0, 400].contains(&site.send("\u{1}\u{2}\u{3} nonsense").status));
-    // Requests that never end are closed by the server, and hinder no other; so are connections beyond the limit.
+    // Requests that never end are closed by the server, and hinder no other; so are connections
+    // beyond the limit.
     let mut slow: Vec<TcpStream> = (0..200).map(|_| site.connect()).collect();
     for stream in &mut slow {
         let _ = stream.write_all(b"GET / HTTP/1.1\r\nHo");
     }
     let mut ended = Vec::new();
     for stream in &mut slow {
-        // Ends by a close of the server; the patience of the socket would be an error of another kind.
+        // Ends by a close of the server; the patience of the socket would be an error of another
+        // kind.
         let outcome = stream.read_to_end(&mut ended);
         let is_time = |error: &std::io::Error| {
             matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut)

@@ -5,12 +5,14 @@ use super::*;
 use ndarray::{Array2, Array3};
 use std::f64::consts::PI;
 
-/// Where the star of a frame is, pixels along x and y: within four of the axis, without order, at all parts of a pixel.
+/// Where the star of a frame is, pixels along x and y: within four of the axis, without order, at
+/// all parts of a pixel.
 fn place(frame: usize) -> [f64; 2] {
     [0.618, 0.414].map(|step| 8.0 * ((step * (frame as f64 + 1.0)).fract() - 0.5))
 }
 
-/// Moves an image by a part of its own spectrum: exact where its sampling shows all of it, as two pixels in λ/D do. White noise stays white.
+/// Moves an image by a part of its own spectrum: exact where its sampling shows all of it, as two
+/// pixels in λ/D do. White noise stays white.
 fn move_by(images: &mut Array3<f64>, [x, y]: [f64; 2]) {
     let side = images.len_of(ndarray::Axis(1));
     let kernel = |pixels: f64| {
@@ -61,7 +63,8 @@ fn star_that_moves_leaves_the_alarms_of_a_still_one() {
     let tilts = ["noll-2", "noll-3"].map(|name| modes.lines().position(|mode| mode == name).unwrap());
     let rows: Vec<_> = rows.unwrap().map(Result::unwrap).collect();
     assert_eq!(rows.len(), 20);
-    // The star of the unmoved images is where the mean of the differences has it: the simulated one is off the axis by its NCPA.
+    // The star of the unmoved images is where the mean of the differences has it: the simulated one
+    // is off the axis by its NCPA.
     let off = |axis: usize| rows.iter().map(|(id, at, ..)| at[axis] - place(id - 1)[axis]).sum::<f64>() / 20.0;
     let mean = [off(0), off(1)];
     for (id, at, coefficients_nm, tracked_nm) in &rows {

@@ -1,4 +1,5 @@
-//! Streams of ImageStreamIO. The writer is the upstream library, compiled from `tests/imagestreamio`.
+//! Streams of ImageStreamIO. The writer is the upstream library, compiled from
+//! `tests/imagestreamio`.
 
 use super::*;
 use cophase::io::FitsReader;
@@ -108,7 +109,8 @@ pub fn counters(desk: &Desk) -> Vec<usize> {
     names.map(|name| name.unwrap().strip_prefix("cam frame ").unwrap().parse().unwrap()).collect()
 }
 
-/// One after the other: the next is written once the last is in the store, so that none can be overwritten unread.
+/// One after the other: the next is written once the last is in the store, so that none can be
+/// overwritten unread.
 #[test]
 fn frames_of_a_stream_are_those_that_were_written() {
     let desk = desk_with_stream();
@@ -140,7 +142,8 @@ fn frames_of_a_stream_are_those_that_were_written() {
     let files: Vec<f64> = query.query_map([], |row| row.get(0)).unwrap().map(Result::unwrap).collect();
     assert_eq!(files.len(), 5);
     for (from_file, (from_stream, status)) in files.iter().zip(&found) {
-        // Float keeps 6e-8 of an electron count: far below a ten-thousandth of a nm; the fit's own tolerance is 0.01 nm.
+        // Float keeps 6e-8 of an electron count: far below a ten-thousandth of a nm; the fit's own
+        // tolerance is 0.01 nm.
         assert!((from_file - from_stream).abs() < 0.01 && status == "done", "{files:?} {found:?}");
     }
 }

@@ -1,5 +1,5 @@
-//! The least time that an evaluation can take here: its operations at the processor's peak, or the bytes that it must read
-//! at the bandwidth of the memory that holds them, whichever is longer.
+//! The least time that an evaluation can take here: its operations at the processor's peak, or the
+//! bytes that it must read at the bandwidth of the memory that holds them, whichever is longer.
 
 use cophase::Result;
 use cophase::device::{Choice, Device, DeviceKind, Peak, Precision};
@@ -60,8 +60,8 @@ impl Rates {
 
 /// Runs of which the fastest counts: the peak is what the machine can do when it is left alone.
 const RUNS: usize = 32;
-/// Independent chains of multiply-adds, a vector each: more than latency times number of any processor's multipliers, and
-/// few enough for its registers.
+/// Independent chains of multiply-adds, a vector each: more than latency times number of any
+/// processor's multipliers, and few enough for its registers.
 const CHAINS: usize = 12;
 /// Multiply-adds of each chain in a run: about a millisecond.
 const STEPS: usize = 1 << 18;
@@ -70,7 +70,8 @@ const READ_BYTES: f64 = 64e6;
 /// The set is never larger: past every cache more makes no difference.
 const MOST_BYTES: f64 = 512e6;
 
-/// Multiply-adds without memory, in the widest vectors of this processor; says how many numbers such a vector has.
+/// Multiply-adds without memory, in the widest vectors of this processor; says how many numbers
+/// such a vector has.
 macro_rules! chains {
     ($name:ident, $lanes:ident, $splat:ident, $mul_add:ident) => {
         struct $name;
@@ -80,7 +81,8 @@ macro_rules! chains {
 
             #[inline(always)]
             fn with_simd<S: Simd>(self, simd: S) -> usize {
-                // x → x/2 + 1/2 goes to 1 and stays there: ordinary numbers, which no processor makes faster or slower.
+                // x → x/2 + 1/2 goes to 1 and stays there: ordinary numbers, which no processor
+                // makes faster or slower.
                 let half = simd.$splat(black_box(0.5));
                 let mut chains = [half; CHAINS];
                 for _ in 0..STEPS {

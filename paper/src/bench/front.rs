@@ -22,8 +22,9 @@ pub fn pareto(points: &[Point]) -> Vec<&Point> {
     sorted
 }
 
-/// Error against µs per image, both logarithmic: a series for each device, precision, batch and optimizer, with the
-/// quartiles of its times; the front as a line; the bound of the model with most samples.
+/// Error against µs per image, both logarithmic: a series for each device, precision, batch and
+/// optimizer, with the quartiles of its times; the front as a line; the bound of the model with
+/// most samples.
 pub fn picture(points: &[Point]) -> CurvePicture {
     let mut names: Vec<String> = Vec::new();
     for point in points {
@@ -83,7 +84,8 @@ fn one(label: String, points: &[&Point], style: SeriesStyle) -> Series {
     Series { label, x, y, style, ..Default::default() }
 }
 
-/// From the lower to the upper quartile of each point's times: lines with nothing between one and the next.
+/// From the lower to the upper quartile of each point's times: lines with nothing between one and
+/// the next.
 fn quartiles(points: &[&Point], colour: usize) -> Series {
     let ends = |point: &Point| [1e6 * point.estimate.lower_s, 1e6 * point.estimate.upper_s, f64::NAN];
     let style = SeriesStyle { stroke: Stroke::Solid, marker: Marker::None, colour: Some(colour) };

@@ -1,4 +1,5 @@
-//! What is varied: the model's size and recipe, and where, how precisely and how many at a time it is fitted.
+//! What is varied: the model's size and recipe, and where, how precisely and how many at a time it
+//! is fitted.
 
 use cophase::control::Control;
 use cophase::device::{self, Choice, Precision};
@@ -7,8 +8,8 @@ use cophase::scene::{Aperture, Optimizer, PupilModel, Scene};
 use cophase::{Error, Result};
 use std::str::FromStr;
 
-/// Sizes of the default models, as fractions of the scene's samples: 72, 96 and 120 of 120. With band-limited edges they
-/// run from an error of a nanometre to the Cramér-Rao bound.
+/// Sizes of the default models, as fractions of the scene's samples: 72, 96 and 120 of 120. With
+/// band-limited edges they run from an error of a nanometre to the Cramér-Rao bound.
 const FRACTIONS: [f64; 3] = [0.6, 0.8, 1.0];
 
 /// Which part of the image is fitted.
@@ -16,7 +17,8 @@ const FRACTIONS: [f64; 3] = [0.6, 0.8, 1.0];
 pub enum Crop {
     /// What carries signal, as the scene's `image.crop_pixels = "auto"`.
     Auto,
-    /// So many pixels along a side at the model's sampling, which is 2 pixels per λ/D where the image has more.
+    /// So many pixels along a side at the model's sampling, which is 2 pixels per λ/D where the
+    /// image has more.
     Pixels(usize),
 }
 
@@ -38,8 +40,8 @@ impl FromStr for Crop {
 /// The points that are measured: every combination.
 #[derive(Debug, Clone)]
 pub struct Grid {
-    /// Samples along a side of the pupil grid; empty for the default, which is the scene's own number and two smaller
-    /// ones.
+    /// Samples along a side of the pupil grid; empty for the default, which is the scene's own
+    /// number and two smaller ones.
     pub samples: Vec<usize>,
     /// Parts of the image.
     pub crops: Vec<Crop>,

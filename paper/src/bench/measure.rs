@@ -1,4 +1,5 @@
-//! One point: a session's evaluations and fits, timed, and held against the truth and the f64 CPU chain.
+//! One point: a session's evaluations and fits, timed, and held against the truth and the f64 CPU
+//! chain.
 
 use super::floor::{Floor, Rates};
 use super::grid::{Grid, ModelPlan, Variant, device_name};
@@ -14,7 +15,8 @@ use ndarray::Array2;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Points in the space of coefficients between which evaluations change, so that nothing can be reused.
+/// Points in the space of coefficients between which evaluations change, so that nothing can be
+/// reused.
 const PLACES: usize = 4;
 /// A timed round of evaluations lasts at least this long: a thousand times the clock's resolution.
 const ROUND: Duration = Duration::from_millis(10);
@@ -83,8 +85,8 @@ fn open(estimator: &Arc<ModalFitter>, variant: &Variant) -> Result<Session> {
     )
 }
 
-/// Times of one evaluation per image, and the largest deviation of a gradient from the reference's, as a fraction of that
-/// gradient's largest element.
+/// Times of one evaluation per image, and the largest deviation of a gradient from the reference's,
+/// as a fraction of that gradient's largest element.
 fn evaluations(
     session: &mut Session,
     set_up: &SetUp,
@@ -150,7 +152,8 @@ fn fits(
     let (mut evaluations, mut chi2, mut errors_nm) = (Vec::new(), Vec::new(), Vec::new());
     for first in (0..draws.len()).step_by(batch) {
         write(session, draws, first, batch)?;
-        // The first fit touches memory, and on a device compiles for shapes that it has not seen: it is not timed.
+        // The first fit touches memory, and on a device compiles for shapes that it has not seen:
+        // it is not timed.
         session.fit(batch, &options)?;
         for (image, draw) in draws[first..].iter().take(batch).enumerate() {
             let result = &session.channels()[0].results()[image].report;

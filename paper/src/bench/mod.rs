@@ -1,5 +1,5 @@
-//! Speed against error: one scene fitted by models of several sizes, in every precision and on every device, one image
-//! at a time and in batches; each point with its spread and its floor.
+//! Speed against error: one scene fitted by models of several sizes, in every precision and on
+//! every device, one image at a time and in batches; each point with its spread and its floor.
 //!
 //! ```text
 //! Scene ─ draws ─┬─ Case (samples × pixels × optimizer) ─┬─ measure (device × precision × batch) ─ Point
@@ -7,8 +7,8 @@
 //!                └─ images and truths, the same for all  └─ Floor: work over measured peak
 //! ```
 //!
-//! [`run`] walks a [`Grid`]; what cannot be built or run is left out with its reason. [`table`] has one column list for
-//! the terminal, CSV and JSON; [`picture`] draws error against time.
+//! [`run`] walks a [`Grid`]; what cannot be built or run is left out with its reason. [`table`] has
+//! one column list for the terminal, CSV and JSON; [`picture`] draws error against time.
 
 mod floor;
 mod front;
@@ -42,7 +42,8 @@ pub struct Bench {
 /// `progress` counts images and points.
 ///
 /// # Errors
-/// Those of making the images; that of the first point where none could be measured; [`Error::Interrupted`].
+/// Those of making the images; that of the first point where none could be measured;
+/// [`Error::Interrupted`].
 pub fn run(scene: &Scene, grid: &Grid, first_seed: u64, progress: &Progress) -> Result<Bench> {
     grid.check()?;
     let (models, variants) = (grid.models(scene), grid.variants());

@@ -76,7 +76,8 @@ pub struct Point {
     pub model_set_up_s: f64,
     /// Memory, metric, compiled kernels: once per session.
     pub session_set_up_s: f64,
-    /// Largest deviation of a gradient from that of the f64 CPU chain, as a fraction of its largest element.
+    /// Largest deviation of a gradient from that of the f64 CPU chain, as a fraction of its largest
+    /// element.
     pub gradient_error: f64,
     /// Largest deviation of an estimate from that of the f64 CPU chain, nm RMS over the modes.
     pub estimate_error_nm: f64,
@@ -94,7 +95,8 @@ impl Point {
     }
 }
 
-/// A column: its name in files, what heads it on a terminal (nothing where it is not shown), its cell.
+/// A column: its name in files, what heads it on a terminal (nothing where it is not shown), its
+/// cell.
 struct Column(&'static str, &'static str, fn(&Point) -> Cell);
 
 /// Microseconds with three digits or so.

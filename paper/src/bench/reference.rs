@@ -5,10 +5,12 @@ use cophase::Result;
 use cophase::modal::{FitOptions, Session, SessionOptions};
 use ndarray::Array2;
 
-/// RMS of the coefficients at which objectives are evaluated, nm: within the capture range of every scene, and not flat.
+/// RMS of the coefficients at which objectives are evaluated, nm: within the capture range of every
+/// scene, and not flat.
 const PLACE_NM: f64 = 40.0;
 
-/// Estimates and gradients of the reference (f64 CPU) chain for each draw, against which every variant is held.
+/// Estimates and gradients of the reference (f64 CPU) chain for each draw, against which every
+/// variant is held.
 pub(super) struct Reference {
     /// The estimates, nm; `None` where a fit gave none.
     pub coefficients_nm: Vec<Option<Vec<f64>>>,

@@ -17,11 +17,12 @@ use std::sync::Arc;
 use std::time::Instant;
 use twox_hash::XxHash3_128;
 
-/// Images that are fitted in one batch. A fixed number, so that results do not depend on how many cores there are;
-/// small, so that all cores have something to do.
+/// Images that are fitted in one batch. A fixed number, so that results do not depend on how many
+/// cores there are; small, so that all cores have something to do.
 const BATCH: usize = 4;
-/// Directions of a covariance below this fraction of the largest variance are null: global piston alone, at rounding.
-/// The strongest and the weakest direction that an image sees differ by less than 1e6 in variance.
+/// Directions of a covariance below this fraction of the largest variance are null: global piston
+/// alone, at rounding. The strongest and the weakest direction that an image sees differ by less
+/// than 1e6 in variance.
 const NULL_FLOOR: f64 = 1e-10;
 /// Evaluations that are timed; the median of this many ignores a machine that is busy for a moment.
 const TIMED: usize = 15;
@@ -107,7 +108,8 @@ pub struct Pulls {
     pub phasing: Vec<f64>,
     /// One for each NCPA mode.
     pub ncpa: Vec<f64>,
-    /// Along the principal directions of the covariance, where pulls are independent; global piston is none.
+    /// Along the principal directions of the covariance, where pulls are independent; global piston
+    /// is none.
     pub white: Vec<f64>,
 }
 
@@ -125,7 +127,8 @@ impl Case {
         Ok(Self { phasing, ncpa, estimator })
     }
 
-    /// Fits every draw on its own. Batches of other processes' parts have trials without an estimate.
+    /// Fits every draw on its own. Batches of other processes' parts have trials without an
+    /// estimate.
     ///
     /// # Errors
     /// Those of [`ModalFitter::estimate`]; a fit that fails is no error but a [`Trial::status`].
@@ -201,7 +204,8 @@ impl Case {
         Ok([residual(Group::Segment, &phasing)?, residual(Group::Ncpa, &ncpa)?])
     }
 
-    /// RMS over the pupil of an error of the coefficients, nm: of its segment errors and of its NCPA, piston, tip and tilt removed.
+    /// RMS over the pupil of an error of the coefficients, nm: of its segment errors and of its
+    /// NCPA, piston, tip and tilt removed.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of modes.
@@ -214,15 +218,16 @@ impl Case {
         Ok([rms(&self.phasing, segments)?, rms(&self.ncpa, ncpa)?])
     }
 
-    /// An error of the coefficients in standard deviations along the principal directions of their covariance, where it is independent;
-    /// global piston is none.
+    /// An error of the coefficients in standard deviations along the principal directions of their
+    /// covariance, where it is independent; global piston is none.
     ///
     /// # Errors
     /// [`Error::Value`] for a covariance that has no such directions.
     pub fn whitened(&self, error_nm: &[f64], covariance_nm2: &Array2<f64>) -> Result<Vec<f64>> {
         let metric = Metric::from_gauss_newton(covariance_nm2, NULL_FLOOR)?;
         let mut white = vec![0.0; metric.rank()];
-        // With C = V Λ Vᵀ this is Λ^(−1/2) Vᵀ: what takes a gradient to whitened coordinates takes an error there.
+        // With C = V Λ Vᵀ this is Λ^(−1/2) Vᵀ: what takes a gradient to whitened coordinates takes
+        // an error there.
         metric.gradient_to_z(error_nm, &mut white);
         Ok(white)
     }
@@ -262,8 +267,8 @@ impl Case {
         trials.iter().zip(draws).map(bound).collect()
     }
 
-    /// How far the estimate of one draw is from the truth. The truth must lie in the span of the modes, as that of the
-    /// artificial source does in ours.
+    /// How far the estimate of one draw is from the truth. The truth must lie in the span of the
+    /// modes, as that of the artificial source does in ours.
     ///
     /// # Errors
     /// [`Error::Value`] for modes that are not independent.
@@ -278,8 +283,8 @@ impl Case {
         Ok(Pulls { phasing: phasing.to_vec(), ncpa: ncpa.to_vec(), white })
     }
 
-    /// The truth in the estimated modes: its pistons, and the least-squares coefficients of its NCPA map (weight A,
-    /// piston removed).
+    /// The truth in the estimated modes: its pistons, and the least-squares coefficients of its
+    /// NCPA map (weight A, piston removed).
     ///
     /// # Errors
     /// [`Error::Value`] for modes that are not independent.

@@ -31,7 +31,8 @@ pub fn draws(scene: &Scene, seeds: usize, progress: &Progress) -> Result<Vec<Dra
 /// `count` draws of `scene`, the first with the seed `first`.
 ///
 /// # Errors
-/// Those of [`source::simulate`]; [`Error::Scene`] for a scene whose segments are tilted, [`Error::Interrupted`].
+/// Those of [`source::simulate`]; [`Error::Scene`] for a scene whose segments are tilted,
+/// [`Error::Interrupted`].
 pub fn draws_from(scene: &Scene, first: u64, count: usize, progress: &Progress) -> Result<Vec<Draw>> {
     if scene.aberrations.as_ref().is_some_and(|truth| truth.segment_tip_tilt_rms_nm > 0.0) {
         let sentence = "aberrations.segment_tip_tilt_rms_nm is not 0: these experiments move segments in piston only";

@@ -1,4 +1,5 @@
-//! What experiments share: draws of images with their truth, an estimator tried on them, statistics, tables, progress.
+//! What experiments share: draws of images with their truth, an estimator tried on them,
+//! statistics, tables, progress.
 //!
 //! Residuals are RMS over the pupil (weight A) in nm, piston, tip and tilt removed.
 

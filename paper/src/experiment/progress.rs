@@ -30,8 +30,9 @@ impl<'a> Progress<'a> {
         self.shares.as_ref()
     }
 
-    /// Draw `seed` of `row`, in the given place of all draws: the one that is kept, or else that of `make`, which is kept; none where it
-    /// is of another process's part. It takes `steps` steps, which `make` counts.
+    /// Draw `seed` of `row`, in the given place of all draws: the one that is kept, or else that of
+    /// `make`, which is kept; none where it is of another process's part. It takes `steps` steps,
+    /// which `make` counts.
     ///
     /// # Errors
     /// Those of `make`; [`Error::File`]; [`Error::Interrupted`].

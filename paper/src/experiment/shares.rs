@@ -1,5 +1,6 @@
-//! Draws that processes share: each makes those of its part and keeps them in a file; the process without a part takes all that are
-//! kept, makes those that are not, and has the numbers of one process.
+//! Draws that processes share: each makes those of its part and keeps them in a file; the process
+//! without a part takes all that are kept, makes those that are not, and has the numbers of one
+//! process.
 //!
 //! ```text
 //! head:  version, target, options
@@ -54,10 +55,12 @@ pub struct Shares {
 }
 
 impl Shares {
-    /// The draws of the experiment `name` that `folder` keeps. `options` are all choices on which a draw of a given row and seed depends.
+    /// The draws of the experiment `name` that `folder` keeps. `options` are all choices on which a
+    /// draw of a given row and seed depends.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that cannot be read, or that is of another version or other options.
+    /// [`Error::File`] for a file that cannot be read, or that is of another version or other
+    /// options.
     pub fn open(folder: &Path, name: &str, options: &str, part: Option<Part>) -> Result<Self> {
         let head = format!("cophase {}, {name}, {options}", env!("CARGO_PKG_VERSION"));
         let entries = std::fs::read_dir(folder).map_err(|error| Error::file(folder, error))?;
@@ -135,7 +138,8 @@ impl Shares {
     }
 }
 
-/// Asserts that a draw is the same, to the bit, when it was kept: the shortest digits of a number are those of its bits.
+/// Asserts that a draw is the same, to the bit, when it was kept: the shortest digits of a number
+/// are those of its bits.
 #[cfg(test)]
 pub(crate) fn assert_survives<D: KeptDraw + std::fmt::Debug>(draw: &D) {
     let line = draw.cells().join("\t");

@@ -1,4 +1,5 @@
-//! Tables: the same columns and rows as aligned text and as CSV, and files that appear whole or not at all.
+//! Tables: the same columns and rows as aligned text and as CSV, and files that appear whole or not
+//! at all.
 
 use cophase::Result;
 use std::path::Path;
@@ -10,7 +11,8 @@ pub enum Cell {
     Text(String),
     /// A number of things.
     Count(usize),
-    /// A number, and how many decimals a reader wants to see of it; the CSV keeps six significant digits.
+    /// A number, and how many decimals a reader wants to see of it; the CSV keeps six significant
+    /// digits.
     Number(f64, usize),
 }
 

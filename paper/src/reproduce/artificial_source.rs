@@ -1,4 +1,5 @@
-//! Section 3 of the paper: residuals of one image of an artificial source, by the paper's method and by ours.
+//! Section 3 of the paper: residuals of one image of an artificial source, by the paper's method
+//! and by ours.
 
 use super::statistics::{mean, median, rms, standard_deviation};
 use super::{Bound, Case, Cell, Draw, Progress, Pulls, Report, Table, Trial, Way, draws};
@@ -26,7 +27,8 @@ pub struct WayResult {
     pub trials: Vec<Trial>,
     /// The Cramér-Rao bound of each draw, for this way's modes.
     pub bounds: Vec<Bound>,
-    /// (estimate − truth)/σ of each draw; none for the paper's way, whose modes do not span the truth.
+    /// (estimate − truth)/σ of each draw; none for the paper's way, whose modes do not span the
+    /// truth.
     pub pulls: Vec<Pulls>,
 }
 
@@ -66,7 +68,8 @@ impl WayResult {
         [bounds(|bound| bound.phasing_nm), bounds(|bound| bound.ncpa_nm)]
     }
 
-    /// Root of the mean square residual over that of the bound, phasing and NCPA: 1 where nothing but noise is left.
+    /// Root of the mean square residual over that of the bound, phasing and NCPA: 1 where nothing
+    /// but noise is left.
     pub fn over_bound(&self) -> [f64; 2] {
         let [phasing, ncpa] = self.bound_nm();
         [rms(&self.phasing_nm()) / phasing, rms(&self.ncpa_nm()) / ncpa]

@@ -1,4 +1,5 @@
-//! Pixels that are bad and not marked: residual over the bound of the pixels that are good, and what was rejected.
+//! Pixels that are bad and not marked: residual over the bound of the pixels that are good, and
+//! what was rejected.
 
 use super::statistics::{median, rms};
 use super::{Case, Cell, Draw, Progress, Report, Table, draws};
@@ -16,7 +17,8 @@ const SHARES: [f64; 5] = [0.0, 1e-3, 5e-3, 1e-2, 2e-2];
 const COSMIC_SHARE: f64 = 1e-3;
 /// Pixels of a track.
 const TRACK: usize = 3;
-/// Samplings, pixels per λ/D, with the pixels of an image: one that is fitted as it is, and one that is reduced for the fit.
+/// Samplings, pixels per λ/D, with the pixels of an image: one that is fitted as it is, and one
+/// that is reduced for the fit.
 const SAMPLINGS: [[usize; 2]; 2] = [[2, 240], [4, 480]];
 /// Peak signal-to-noise ratios.
 const PEAK_SNRS: [usize; 2] = [50, 500];

@@ -1,4 +1,5 @@
-//! Channels: pairs of defocused images and pairs of colours, residual against error bar, whole wavelengths against their probability.
+//! Channels: pairs of defocused images and pairs of colours, residual against error bar, whole
+//! wavelengths against their probability.
 
 use super::pulls::pull_cells;
 use super::statistics::median;
@@ -91,7 +92,8 @@ pub struct ChannelDraw {
     pub seconds: f64,
     /// Whether there is a warning, or a status other than ok.
     pub is_flagged: bool,
-    /// Of each segment, the probability of its integer, and whether it is right; empty for one colour.
+    /// Of each segment, the probability of its integer, and whether it is right; empty for one
+    /// colour.
     pub integers: Vec<(f64, bool)>,
 }
 
@@ -181,7 +183,8 @@ pub fn channels(rows: &[ChannelRow], seeds: usize, progress: &Progress) -> Resul
 }
 
 impl ChannelTable {
-    /// One line a case. Residuals, error bars and pulls are those of draws whose integers are right.
+    /// One line a case. Residuals, error bars and pulls are those of draws whose integers are
+    /// right.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "case",

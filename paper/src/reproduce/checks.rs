@@ -95,7 +95,8 @@ pub struct CheckDraw {
     pub peak_snr: f64,
     /// Size of the planted fault, in its unit.
     pub planted: f64,
-    /// The cause that was named first; `None` where nothing was, and "failed" where the check ended with an error.
+    /// The cause that was named first; `None` where nothing was, and "failed" where the check ended
+    /// with an error.
     pub named: Option<String>,
     /// Whether it is right.
     pub is_right: bool,
@@ -130,7 +131,8 @@ const BASE: [(&str, &str); 5] = [
     ("pupil.samples", "128"),
     ("aberrations.truth_samples", "640"),
 ];
-/// A segment of the third ring, 10.9° from +x and off every axis of the pupil's symmetry, and its poke.
+/// A segment of the third ring, 10.9° from +x and off every axis of the pupil's symmetry, and its
+/// poke.
 const POKE: Poke = Poke::Segment(18, 150.0);
 
 /// Checks draws 1 to `seeds` of each row.
@@ -152,7 +154,8 @@ pub fn checks(rows: &[CheckRow], seeds: usize, progress: &Progress) -> Result<Ch
     Ok(Checks(rows.iter().enumerate().map(of_row).collect::<Result<Vec<_>>>()?))
 }
 
-/// Uniform numbers of a seed in [0, 1): a sequence of low discrepancy (Weyl), so that few draws cover the range.
+/// Uniform numbers of a seed in [0, 1): a sequence of low discrepancy (Weyl), so that few draws
+/// cover the range.
 fn uniform(seed: u64, which: u64) -> f64 {
     const STEPS: [f64; 4] = [0.754_877_666, 0.569_840_291, 0.438_579_021, 0.342_547_381];
     (0.37 + seed as f64 * STEPS[which as usize % STEPS.len()]).fract()

@@ -1,8 +1,9 @@
-//! Estimate, correct, repeat: rounds of images behind the plain zonal loop of `keck-onsky`, each read by a MAP estimate whose corrections move
-//! segments and mirror before the next. What remains is known, and so is the Strehl ratio in K, beside that of a perfect telescope.
+//! Estimate, correct, repeat: rounds of images behind the plain zonal loop of `keck-onsky`, each
+//! read by a MAP estimate whose corrections move segments and mirror before the next. What remains
+//! is known, and so is the Strehl ratio in K, beside that of a perfect telescope.
 //!
-//! Images, telemetry and corrections pass through the same files as those of `cophase simulate --corrections` and `cophase estimate
-//! --commands`.
+//! Images, telemetry and corrections pass through the same files as those of
+//! `cophase simulate --corrections` and `cophase estimate --commands`.
 
 use super::statistics::{mean, standard_deviation};
 use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
@@ -19,8 +20,9 @@ use std::path::Path;
 
 /// Rounds of images and corrections.
 const ROUNDS: usize = 3;
-/// The sequence of a round, and the errors before the first. All of each mode is corrected where that is expected to lower the error: what a mode
-/// below its error bar leaves is as large as what it would add.
+/// The sequence of a round, and the errors before the first. All of each mode is corrected where
+/// that is expected to lower the error: what a mode below its error bar leaves is as large as what
+/// it would add.
 const SETTINGS: [(&str, &str); 4] = [
     ("image.count", "25"),
     ("aberrations.segment_piston_rms_nm", "128.3"),
@@ -29,11 +31,12 @@ const SETTINGS: [(&str, &str); 4] = [
 ];
 /// The turbulence of each round is another one: its seed is this much further.
 const NEXT_TURBULENCE: usize = 1_000_000;
-/// How long the Strehl ratio is measured after the loop has settled, s, and every how many frames: 8 ms apart, where the residual needs 50 ms
-/// to cross an actuator's pitch.
+/// How long the Strehl ratio is measured after the loop has settled, s, and every how many frames:
+/// 8 ms apart, where the residual needs 50 ms to cross an actuator's pitch.
 const WATCHED_S: f64 = 0.5;
 const IMAGE_EVERY: u64 = 8;
-/// Image of the Strehl ratio: pixels per λ/11.25 m, and pixels a side, beyond which the peak's interpolation does not depend on them.
+/// Image of the Strehl ratio: pixels per λ/11.25 m, and pixels a side, beyond which the peak's
+/// interpolation does not depend on them.
 const SAMPLES_PER_LAMBDA_OVER_D: f64 = 3.0;
 const PIXELS: usize = 96;
 
@@ -136,7 +139,8 @@ fn one(seed: usize, progress: &Progress) -> Result<Vec<Round>> {
     Ok(rounds)
 }
 
-/// Corrections from the images of a round, with the error bars of phasing and NCPA, nm, and the time of the estimate, s.
+/// Corrections from the images of a round, with the error bars of phasing and NCPA, nm, and the
+/// time of the estimate, s.
 fn measure(scene: &Scene, sent: &[SentCorrections], progress: &Progress) -> Result<(Corrections, [f64; 2], f64)> {
     let mut simulator = SentCorrections::system(sent, scene)?;
     let mut shots: Vec<Shot> = Vec::new();
@@ -155,7 +159,8 @@ fn residuals_nm(scene: &Scene, truth: &Truth) -> Result<[f64; 2]> {
     Ok([rms(&truth.phasing_nm)?, rms(&truth.ncpa_nm)?])
 }
 
-/// Strehl ratio at the scene's wavelength in focus: peak of the mean image over that of a flat wavefront.
+/// Strehl ratio at the scene's wavelength in focus: peak of the mean image over that of a flat
+/// wavefront.
 fn strehl(mut simulator: Simulator, progress: &Progress) -> Result<f64> {
     let view = View {
         segments: true,

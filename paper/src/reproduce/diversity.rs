@@ -1,7 +1,8 @@
 //! Section 3.5 of the paper: which amplitude of the defocus is best, at two wavelengths.
 //!
-//! All models have the paper's 120 samples. Without aberrations the light of 2 waves RMS reaches 32 λ/D from the axis,
-//! that of 3 waves 48: what 120 samples cannot carry shows in χ² and, from 2 waves on, in the error.
+//! All models have the paper's 120 samples. Without aberrations the light of 2 waves RMS reaches 32
+//! λ/D from the axis, that of 3 waves 48: what 120 samples cannot carry shows in χ² and, from 2
+//! waves on, in the error.
 
 use super::statistics::{mean, median, rms, standard_deviation};
 use super::{Bound, Case, Cell, Draw, Progress, Report, Table, Trial, Way, draws};
@@ -37,7 +38,8 @@ pub struct DiversityPoint {
     pub waves_rms: f64,
     /// Draws that were not lost.
     pub seeds: usize,
-    /// Draws whose segment errors were no better known after the fit than before: a wrong minimum, or none.
+    /// Draws whose segment errors were no better known after the fit than before: a wrong minimum,
+    /// or none.
     pub lost: usize,
     /// Mean residual of the segment errors over the draws that were not lost, nm.
     pub phasing_nm: f64,
@@ -47,7 +49,8 @@ pub struct DiversityPoint {
     pub ncpa_nm: f64,
     /// Its scatter.
     pub ncpa_sd_nm: f64,
-    /// Root of the mean square of their Cramér-Rao bounds, phasing, nm; NaN for the paper's way, which stays far from it.
+    /// Root of the mean square of their Cramér-Rao bounds, phasing, nm; NaN for the paper's way,
+    /// which stays far from it.
     pub phasing_bound_nm: f64,
     /// The same of the NCPA.
     pub ncpa_bound_nm: f64,

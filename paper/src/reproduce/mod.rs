@@ -1,9 +1,10 @@
-//! The paper's results beside ours: experiments that return plain data, print a table, and write it as CSV with a
-//! picture.
+//! The paper's results beside ours: experiments that return plain data, print a table, and write it
+//! as CSV with a picture.
 //!
-//! An experiment is a function of this room ([`artificial_source()`], [`samples()`], [`diversity()`], [`on_sky()`],
-//! [`image_numbers()`], those of [`figures`]); [`Target`] runs one by name and writes its files. Residuals are RMS over
-//! the pupil (weight A) in nm, piston, tip and tilt removed.
+//! An experiment is a function of this room ([`artificial_source()`], [`samples()`],
+//! [`diversity()`], [`on_sky()`], [`image_numbers()`], those of [`figures`]); [`Target`] runs one
+//! by name and writes its files. Residuals are RMS over the pupil (weight A) in nm, piston, tip and
+//! tilt removed.
 
 mod artificial_source;
 mod bad_pixels;

@@ -18,8 +18,9 @@ use cophase::{Error, Result};
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 use std::sync::mpsc::sync_channel;
 
-/// Images of turbulence are fitted in single precision until no coefficient moves by more than this, nm: it moves a
-/// residual of 30 nm by less than 0.01, takes half of the evaluations that 0.001 nm does, and each takes half the time.
+/// Images of turbulence are fitted in single precision until no coefficient moves by more than
+/// this, nm: it moves a residual of 30 nm by less than 0.01, takes half of the evaluations that
+/// 0.001 nm does, and each takes half the time.
 const TURBULENT_STEP_NM: f64 = 0.1;
 
 /// How a loop did.
@@ -49,7 +50,8 @@ pub struct LoopRun {
 pub struct Sequence {
     /// Electrons, `[image, y, x]`; none where the loop was lost before the first.
     pub images_e: Array3<f64>,
-    /// Mean slopes of the sensor over each exposure, `[image, slope]`, mas; none for an image without a loop.
+    /// Mean slopes of the sensor over each exposure, `[image, slope]`, mas; none for an image
+    /// without a loop.
     pub slopes_mas: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
@@ -116,7 +118,8 @@ impl Sequence {
         self.images_e.len_of(Axis(0))
     }
 
-    /// The full-phase estimate of the first `count` images, with their slopes unless `reader` knows less of the loop.
+    /// The full-phase estimate of the first `count` images, with their slopes unless `reader` knows
+    /// less of the loop.
     ///
     /// # Errors
     /// Those of the estimator; [`Error::Interrupted`].
@@ -129,8 +132,9 @@ impl Sequence {
     }
 }
 
-/// Draws of the sequences of `rows` and seeds 1 to `seeds`, row by row: those that are kept, and those that `read` makes of a sequence
-/// while the next is simulated; without those of other processes' parts. Each draw takes `steps` steps.
+/// Draws of the sequences of `rows` and seeds 1 to `seeds`, row by row: those that are kept, and
+/// those that `read` makes of a sequence while the next is simulated; without those of other
+/// processes' parts. Each draw takes `steps` steps.
 ///
 /// # Errors
 /// Those of [`Sequence::make`] and of `read`.
@@ -165,7 +169,8 @@ pub(super) fn sequence_draws<'r, D: KeptDraw>(
     Ok(draws.into_iter().enumerate().filter_map(|(place, draw)| Some((job(place).0, draw?))).collect())
 }
 
-/// Makes the sequences of `jobs` (row and seed) one after another, and hands each to `read` while the next is made.
+/// Makes the sequences of `jobs` (row and seed) one after another, and hands each to `read` while
+/// the next is made.
 ///
 /// # Errors
 /// Those of [`Sequence::make`] and of `read`.
@@ -176,7 +181,8 @@ fn each_sequence<'r>(
     mut read: impl FnMut(&'r Row, usize, Sequence) -> Result<()>,
 ) -> Result<()> {
     std::thread::scope(|scope| {
-        // No room: a minute of images is 90 MB, and one that is read, one ready and no more are there at a time.
+        // No room: a minute of images is 90 MB, and one that is read, one ready and no more are
+        // there at a time.
         let (made, ready) = sync_channel(0);
         scope.spawn(move || {
             for &(row, seed) in jobs {
@@ -195,10 +201,11 @@ fn each_sequence<'r>(
     })
 }
 
-/// An estimator of sequences, one way. It depends on the telescope, not on what is behind it: one serves all rows.
+/// An estimator of sequences, one way. It depends on the telescope, not on what is behind it: one
+/// serves all rows.
 pub struct Reader {
-    /// Whose choices it makes: the paper's objective (with our optimiser, which finds its minimum in a fraction of the
-    /// evaluations) and the mean over the images, or the scene's defaults.
+    /// Whose choices it makes: the paper's objective (with our optimiser, which finds its minimum
+    /// in a fraction of the evaluations) and the mean over the images, or the scene's defaults.
     pub way: Way,
     /// The estimator.
     pub estimator: ModalFitter,
@@ -307,7 +314,8 @@ impl Reader {
         })
     }
 
-    /// Residuals against the truth of `sequence`, phasing and NCPA, nm, for an estimate with these maps.
+    /// Residuals against the truth of `sequence`, phasing and NCPA, nm, for an estimate with these
+    /// maps.
     ///
     /// # Errors
     /// As [`residual_nm`].

@@ -18,7 +18,8 @@ const MOST_SETS: usize = 10;
 /// How images are combined.
 const COMBINES: [Combine; 3] = [Combine::Mean, Combine::Median, Combine::ClippedMean];
 
-/// What the paper says in numbers: row, images, phasing and NCPA of the mean, nm (Table 2, and section 4.5 for 75).
+/// What the paper says in numbers: row, images, phasing and NCPA of the mean, nm (Table 2, and
+/// section 4.5 for 75).
 const PUBLISHED_NM: [(&str, usize, [f64; 2]); 3] =
     [("pol-mask-inpaint", 75, [22.0, f64::NAN]), ("pol-mask-inpaint", 200, [21.3, 31.6]), ("zonal", 200, [32.1, 25.7])];
 
@@ -50,7 +51,8 @@ impl ImageNumber {
     }
 }
 
-/// The images of one set among `sets` of `count` images each, spread evenly over `all`; sets have no image in common.
+/// The images of one set among `sets` of `count` images each, spread evenly over `all`; sets have
+/// no image in common.
 fn spread(all: usize, count: usize, set: usize, sets: usize) -> Vec<usize> {
     (0..count).map(|i| (2 * (i * sets + set) + 1) * all / (2 * count * sets)).collect()
 }
@@ -182,7 +184,8 @@ impl ImageNumbers {
         table
     }
 
-    /// Both quantities behind one loop: mean, median and clipped mean the paper's way, clipped mean ours.
+    /// Both quantities behind one loop: mean, median and clipped mean the paper's way, clipped mean
+    /// ours.
     pub fn picture(&self, row: &str) -> CurvePicture {
         let mut series = Vec::new();
         for (quantity, (what, marker)) in [("phasing", Marker::Disc), ("NCPA", Marker::Diamond)].into_iter().enumerate()
@@ -196,7 +199,8 @@ impl ImageNumbers {
             for (way, combine, stroke, label) in lines {
                 let points = || self.points.iter().filter(|p| (p.row, p.way, p.combine) == (row, way, combine));
                 let statistic = |of: fn(&[f64]) -> f64| points().map(|point| of(&point.of(quantity))).collect();
-                // One set of error bars a quantity: they are much the same, and would hide one another.
+                // One set of error bars a quantity: they are much the same, and would hide one
+                // another.
                 let bars = combine == Combine::Mean;
                 series.push(Series {
                     label: format!("{what}, {label}"),

@@ -1,5 +1,5 @@
-//! The paper's Table 2: residual phasing errors and NCPA behind each kind of loop, in the paper's words, in its
-//! way here, and in ours.
+//! The paper's Table 2: residual phasing errors and NCPA behind each kind of loop, in the paper's
+//! words, in its way here, and in ours.
 
 use super::on_sky::{LoopRun, Reader, sequence_draws};
 use super::row_draw::RowDraw;
@@ -118,7 +118,8 @@ impl RowResult {
         ]
     }
 
-    /// Mean and scatter of one quantity (0: phasing, 1: NCPA) with its reduction, as a reader wants it.
+    /// Mean and scatter of one quantity (0: phasing, 1: NCPA) with its reduction, as a reader wants
+    /// it.
     fn shown(&self, way: Way, quantity: usize) -> String {
         let values = &self.residuals_nm(way)[quantity];
         let digits = if mean(values) < 1.0 { 2 } else { 1 };

@@ -17,12 +17,13 @@ pub struct Options {
     pub quick: bool,
     /// The telescope behind the loop.
     pub segments: Segments,
-    /// Rows of `Target::Beyond` or `Target::Pyramid`, cases of `Target::HardCases`, or parts of names of rows of `Target::Pulls` or
-    /// `Target::MovingStar`; none are all.
+    /// Rows of `Target::Beyond` or `Target::Pyramid`, cases of `Target::HardCases`, or parts of
+    /// names of rows of `Target::Pulls` or `Target::MovingStar`; none are all.
     pub rows: Vec<String>,
     /// Folder of measured maps of NCPA, each of which is a row of `Target::Beyond`.
     pub maps: Option<PathBuf>,
-    /// The part of the draws that is made, without a table; none for all. Not all targets have parts.
+    /// The part of the draws that is made, without a table; none for all. Not all targets have
+    /// parts.
     pub part: Option<Part>,
 }
 
@@ -33,7 +34,8 @@ impl Options {
         Conditions { segments: self.segments, settings, ..Default::default() }
     }
 
-    /// The draws of the target `name` that are kept in the folder; those of another telescope or of a quick look are not its own.
+    /// The draws of the target `name` that are kept in the folder; those of another telescope or of
+    /// a quick look are not its own.
     ///
     /// # Errors
     /// As [`Shares::open`].

@@ -1,5 +1,6 @@
-//! Petals: pistons of the parts of a pupil behind a spider. Of `keck-nirc2`, which six vanes divide, from one image in focus or out of focus; of
-//! a mirror of one piece behind four vanes, whose petals take the place of segments, from one image in each of two wavelengths.
+//! Petals: pistons of the parts of a pupil behind a spider. Of `keck-nirc2`, which six vanes
+//! divide, from one image in focus or out of focus; of a mirror of one piece behind four vanes,
+//! whose petals take the place of segments, from one image in each of two wavelengths.
 
 use super::statistics::{mean, rms, standard_deviation};
 use super::{Cell, Progress, Report, Table};
@@ -19,12 +20,13 @@ use std::path::Path;
 const AMPLITUDES_NM: [&str; 7] = ["0", "100", "200", "300", "400", "600", "800"];
 /// The same for a quick look.
 const FEW_AMPLITUDES_NM: [&str; 2] = ["100", "300"];
-/// Images without and with diversity: name, and defocus, waves RMS. Exactly in focus a fit from a flat wavefront has no direction in even
-/// modes.
+/// Images without and with diversity: name, and defocus, waves RMS. Exactly in focus a fit from a
+/// flat wavefront has no direction in even modes.
 const SINGLE: [(&str, &str); 2] = [("in focus", "0.02"), ("defocused", "1.5")];
 const TWO_COLOURS: &str = "two colours, one piece";
-/// Pixels at Nyquist sampling over the field of view of the preset, and 240 samples across the pupil: with 120 the steps of petals of 300 nm, at
-/// the nearest sample, are a misfit of 2.7 times the noise. Other models would not explain an image that has no diversity.
+/// Pixels at Nyquist sampling over the field of view of the preset, and 240 samples across the
+/// pupil: with 120 the steps of petals of 300 nm, at the nearest sample, are a misfit of 2.7 times
+/// the noise. Other models would not explain an image that has no diversity.
 const SETTINGS: [(&str, &str); 5] = [
     ("image.samples_per_lambda_over_d", "2"),
     ("image.pixels", "240"),
@@ -54,7 +56,8 @@ pub struct PetalDraw {
     pub sigma_nm: Vec<f64>,
     /// Whether there is a warning, or a status other than ok.
     pub is_flagged: bool,
-    /// Whether all pistons are within a quarter of a wavelength of the truth, so that none is of another whole wavelength or sign.
+    /// Whether all pistons are within a quarter of a wavelength of the truth, so that none is of
+    /// another whole wavelength or sign.
     pub is_in_wave: bool,
 }
 
@@ -123,7 +126,8 @@ fn single((name, waves): (&'static str, &str)) -> Result<Case> {
     Ok(Case { name, scene, key, petals, group: Group::Ncpa })
 }
 
-/// Two wavelengths behind a mirror of one piece, whose petals are labelled as segments in the map at `path`.
+/// Two wavelengths behind a mirror of one piece, whose petals are labelled as segments in the map
+/// at `path`.
 fn two_colours(path: &Path) -> Result<Case> {
     let geometry = Scene::preset("keck-two-colour")?.with(&ONE_PIECE)?;
     let telescope = Telescope::new(&geometry)?;
@@ -191,8 +195,8 @@ fn means(petals: &Petals, pupil: &Pupil, map: ArrayView2<f64>) -> Vec<f64> {
 }
 
 impl PetalTable {
-    /// One line for each case and amplitude. Residuals are RMS over the petals of a draw, mean and standard deviation over
-    /// the draws within a quarter of a wavelength.
+    /// One line for each case and amplitude. Residuals are RMS over the petals of a draw, mean and
+    /// standard deviation over the draws within a quarter of a wavelength.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "case",

@@ -1,7 +1,9 @@
-//! Pulls: residual over error bar of `cophase estimate` against brightness and number of images, on two sets of NCPA.
+//! Pulls: residual over error bar of `cophase estimate` against brightness and number of images, on
+//! two sets of NCPA.
 //!
-//! A pull of 1 is an error bar that is right. The RMS over n draws of a residual of k independent modes is known to
-//! 1/√(2nk): of 24 draws and 50 modes to 2 %, but systematic errors of the model are common to all modes of a draw.
+//! A pull of 1 is an error bar that is right. The RMS over n draws of a residual of k independent
+//! modes is known to 1/√(2nk): of 24 draws and 50 modes to 2 %, but systematic errors of the model
+//! are common to all modes of a draw.
 
 use super::statistics::rms;
 use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
@@ -15,9 +17,11 @@ use std::path::Path;
 const PEAK_SNR: [&str; 4] = ["20", "50", "100", "500"];
 /// Numbers of images of one wavefront.
 const IMAGES: [&str; 2] = ["1", "40"];
-/// Last Noll index of the true NCPA: radial order 5, which most of the model's modes reach, and radial order 8.
+/// Last Noll index of the true NCPA: radial order 5, which most of the model's modes reach, and
+/// radial order 8.
 const LAST_NOLL: [&str; 2] = ["18", "45"];
-/// Largest pull of an error bar that is right, with the smallest: the scatter of 24 draws, and 10 %.
+/// Largest pull of an error bar that is right, with the smallest: the scatter of 24 draws, and 10
+/// %.
 const RIGHT: (f64, f64) = (0.9, 1.15);
 
 /// One row: scene and images.
@@ -133,7 +137,8 @@ fn pull(draws: &[PullDraw], part: usize) -> f64 {
     rms(&draws.iter().map(|draw| draw.residual_nm[part] / draw.sigma_nm[part]).collect::<Vec<_>>())
 }
 
-/// RMS over the draws of residual, error bar and their ratio, of phasing and of NCPA, from the residuals and error bars of each.
+/// RMS over the draws of residual, error bar and their ratio, of phasing and of NCPA, from the
+/// residuals and error bars of each.
 pub(super) fn pull_cells(draws: impl Iterator<Item = ([f64; 2], [f64; 2])>) -> Vec<Cell> {
     let (residuals_nm, sigmas_nm): (Vec<_>, Vec<_>) = draws.unzip();
     let part = |part: usize| {

@@ -1,4 +1,5 @@
-//! What accuracy costs: error and time against pupil samples, and against the width of the fitted image.
+//! What accuracy costs: error and time against pupil samples, and against the width of the fitted
+//! image.
 
 use super::statistics::{median, rms};
 use super::{Bound, Case, Cell, Draw, Progress, Report, Table, Trial, draws};
@@ -9,7 +10,8 @@ use std::path::Path;
 
 /// Pupil samples of the band-limited models.
 const SAMPLES: [usize; 7] = [64, 72, 80, 90, 96, 108, 120];
-/// Widths of the fitted image at 120 samples, native pixels (4 per λ/D; the geometric spot is 21 λ/D in radius).
+/// Widths of the fitted image at 120 samples, native pixels (4 per λ/D; the geometric spot is 21
+/// λ/D in radius).
 const CROPS: [usize; 7] = [96, 128, 160, 192, 224, 288, 480];
 /// The same, for a look at the shape.
 const FEW_SAMPLES: [usize; 2] = [80, 120];
@@ -18,7 +20,8 @@ const FEW_CROPS: [usize; 2] = [128, 288];
 /// The figures of all models on the same draws.
 #[derive(Debug, Clone)]
 pub struct Samples {
-    /// Band-limited models with an automatic crop from few samples to 120, the usual models, then the crops.
+    /// Band-limited models with an automatic crop from few samples to 120, the usual models, then
+    /// the crops.
     pub points: Vec<SamplesPoint>,
 }
 
@@ -101,7 +104,8 @@ impl Plan {
     }
 }
 
-/// The scene of section 3 with draws 1 to `seeds`, read by models of several sizes. The truth has 960 samples.
+/// The scene of section 3 with draws 1 to `seeds`, read by models of several sizes. The truth has
+/// 960 samples.
 ///
 /// # Errors
 /// Those of the estimator, and [`cophase::Error::Interrupted`].
@@ -109,8 +113,9 @@ pub fn samples(seeds: usize, quick: bool, progress: &Progress) -> Result<Samples
     let plans = Plan::all(quick);
     progress.expect(plans.len() * seeds);
     let scene = Scene::preset("keck-artificial")?;
-    // A scene measures the stated RMS of its defocus on its own samples: each size of the pupil gets its own images,
-    // or a difference of 1e-4 in the defocus (0.3 nm of focus) would count as an error of the model.
+    // A scene measures the stated RMS of its defocus on its own samples: each size of the pupil
+    // gets its own images, or a difference of 1e-4 in the defocus (0.3 nm of focus) would count as
+    // an error of the model.
     let mut points = Vec::with_capacity(plans.len());
     for group in plans.chunk_by(|one, next| one.samples == next.samples) {
         let scene = scene.with_override("pupil.samples", &group[0].samples.to_string())?;

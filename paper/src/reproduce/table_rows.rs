@@ -1,4 +1,5 @@
-//! The rows of the paper's table, and those that only its text has: a telescope under a sky, and what is different.
+//! The rows of the paper's table, and those that only its text has: a telescope under a sky, and
+//! what is different.
 
 use cophase::Result;
 use cophase::scene::Scene;
@@ -108,8 +109,8 @@ pub static ROWS: [Row; 8] = [
     ),
 ];
 
-/// What the paper's text adds to its last row; and its larger influence functions with as few modes dropped as without a
-/// mask, for it does not say how many it dropped.
+/// What the paper's text adds to its last row; and its larger influence functions with as few modes
+/// dropped as without a mask, for it does not say how many it dropped.
 pub static VARIANTS: [Row; 4] = [
     behind_the_loop(
         "pol-mask-inpaint-kl-2",
@@ -132,10 +133,12 @@ pub static VARIANTS: [Row; 4] = [
     ),
 ];
 
-/// Which of the paper's two telescopes: its pupil of 10.49 m does not fit the 0.5625 m of its lenslets.
+/// Which of the paper's two telescopes: its pupil of 10.49 m does not fit the 0.5625 m of its
+/// lenslets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Segments {
-    /// Segments of 0.862 m, a pupil of 10.49 m on the lenslets of one of 11.25 m: reproduces its rows best.
+    /// Segments of 0.862 m, a pupil of 10.49 m on the lenslets of one of 11.25 m: reproduces its
+    /// rows best.
     #[default]
     Published,
     /// Those of the telescope, 0.9 m.
@@ -183,7 +186,8 @@ pub struct Conditions {
 }
 
 impl Conditions {
-    /// The scene behind the loop, as far as the estimator knows it: nothing here hangs on how the loop is controlled.
+    /// The scene behind the loop, as far as the estimator knows it: nothing here hangs on how the
+    /// loop is controlled.
     ///
     /// # Errors
     /// [`cophase::Error::Scene`] for settings that the scene does not accept.
@@ -216,7 +220,8 @@ impl Row {
         }
     }
 
-    /// The estimator's scene. Its modes are those of the real mirror for every mirror of a row, as in the paper.
+    /// The estimator's scene. Its modes are those of the real mirror for every mirror of a row, as
+    /// in the paper.
     ///
     /// # Errors
     /// As [`Conditions::star`].

@@ -163,9 +163,9 @@ impl Target {
         }
     }
 
-    /// Draws at each point unless the caller names a number: enough for the mean residual to be known to 10 %
-    /// (the paper's way scatters by 40 % from draw to draw), and for a quarter of an hour on two cores; behind a loop
-    /// 3, which scatter by some 10 %, for six minutes.
+    /// Draws at each point unless the caller names a number: enough for the mean residual to be
+    /// known to 10 % (the paper's way scatters by 40 % from draw to draw), and for a quarter of an
+    /// hour on two cores; behind a loop 3, which scatter by some 10 %, for six minutes.
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
@@ -195,13 +195,14 @@ impl Target {
         })
     }
 
-    /// Runs it and writes `<name>.csv` and `<name>.png` (and what else the report names) into the directory.
+    /// Runs it and writes `<name>.csv` and `<name>.png` (and what else the report names) into the
+    /// directory.
     ///
     /// `watch` is called with (done, total) in units of fitted images, from any thread.
     ///
     /// # Errors
-    /// [`Error::Value`] for no seeds, [`Error::File`] where a file cannot be written, [`Error::Interrupted`] where
-    /// `control` was cancelled, and those of the estimator.
+    /// [`Error::Value`] for no seeds, [`Error::File`] where a file cannot be written,
+    /// [`Error::Interrupted`] where `control` was cancelled, and those of the estimator.
     pub fn run(self, options: &Options, watch: &(dyn Fn(usize, usize) + Sync), control: &Control) -> Result<Report> {
         let seeds = options.seeds.unwrap_or(if options.quick { 2 } else { self.default_seeds() });
         if seeds == 0 {
@@ -217,8 +218,8 @@ impl Target {
         self.report(seeds, options, &progress)
     }
 
-    /// Whether processes can share it: its draws do not depend on each other, and each is a few numbers. Those of beyond have a file of
-    /// their own.
+    /// Whether processes can share it: its draws do not depend on each other, and each is a few
+    /// numbers. Those of beyond have a file of their own.
     fn is_shared(self) -> bool {
         !matches!(
             self,
@@ -302,7 +303,8 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// The report that `write` makes of all that was found; draws of a part are kept, and make no table.
+    /// The report that `write` makes of all that was found; draws of a part are kept, and make no
+    /// table.
     fn end<T>(&self, found: T, write: impl FnOnce(T, &Path) -> Result<Report>) -> Result<Report> {
         let Some((part, shares)) = self.options.part.zip(self.progress.shares()) else {
             return write(found, &self.options.directory);

@@ -36,17 +36,19 @@ pub struct Arguments {
     /// Samples along a side of the pupil grid [default: the scene's, and 0.6 and 0.8 of it]
     #[arg(long, value_name = "N,...", value_delimiter = ',')]
     samples: Vec<usize>,
-    /// Pixels along a side of the fitted image, at 2 pixels per lambda/D where the image has more; auto is what carries
-    /// signal
+    /// Pixels along a side of the fitted image, at 2 pixels per lambda/D where the image has more;
+    /// auto is what carries signal
     #[arg(long, value_name = "N,...", value_delimiter = ',', default_value = "auto")]
     pixels: Vec<Crop>,
     /// Recipes of the fit: gauss-newton, paper
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', default_value = "gauss-newton", value_parser = optimizer)]
     optimizer: Vec<Optimizer>,
-    /// Budgets for the phasing and the NCPA each, nm RMS: the models that 'cophase plan' chooses, besides the others
+    /// Budgets for the phasing and the NCPA each, nm RMS: the models that 'cophase plan' chooses,
+    /// besides the others
     #[arg(long, value_name = "NM,...", value_delimiter = ',')]
     budget_nm: Vec<f64>,
-    /// Devices: cpu, auto, opencl or opencl:P:D [default: the CPU, and every OpenCL device that is here]
+    /// Devices: cpu, auto, opencl or opencl:P:D [default: the CPU, and every OpenCL device that is
+    /// here]
     #[arg(long, value_name = "DEVICE,...", value_delimiter = ',')]
     device: Vec<Choice>,
     /// Precisions: f32, f64
@@ -61,7 +63,8 @@ pub struct Arguments {
     /// How often each point is timed
     #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeat: u32,
-    /// Seed of the first image's aberrations and noise; the others follow [default: aberrations.seed of the scene]
+    /// Seed of the first image's aberrations and noise; the others follow [default:
+    /// aberrations.seed of the scene]
     #[arg(long, value_parser = files::seed())]
     seed: Option<u64>,
     /// Write all columns to this file

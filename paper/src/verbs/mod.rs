@@ -8,7 +8,8 @@ use cophase::{Error, Result};
 use cophase_view::terminal::Terminal;
 use std::process::ExitCode;
 
-/// Repeat the experiments of Lamb et al. (2021), the paper: tables and pictures, its way beside ours
+/// Repeat the experiments of Lamb et al. (2021), the paper: tables and pictures, its way beside
+/// ours
 #[derive(Parser)]
 #[command(
     name = "cophase-paper",

@@ -43,18 +43,21 @@ pub struct Arguments {
     /// Two draws, and a few points or images
     #[arg(long)]
     quick: bool,
-    /// Telescope behind the AO loop: paper (segments of 0.862 m, a pupil of 10.49 m) or real (0.9 m)
+    /// Telescope behind the AO loop: paper (segments of 0.862 m, a pupil of 10.49 m) or real (0.9
+    /// m)
     #[arg(long, value_name = "WHICH", default_value = "paper", value_parser = segments)]
     segments: Segments,
-    /// Row of beyond, of pyramid or of hard-cases to make, by name, or of pulls or channels, by a part of its name; may be given more than once
-    /// [default: all]
+    /// Row of beyond, of pyramid or of hard-cases to make, by name, or of pulls or channels, by a
+    /// part of its name; may be given more than once [default: all]
     #[arg(long, value_name = "NAME")]
     row: Vec<String>,
-    /// Folder of measured NCPA maps (NCPA*.fits, nm, over the pupil's grid): one more row of beyond for each
+    /// Folder of measured NCPA maps (NCPA*.fits, nm, over the pupil's grid): one more row of beyond
+    /// for each
     #[arg(long, value_name = "FOLDER")]
     maps: Option<PathBuf>,
-    /// Make part I of N of the draws, and no table: without --part the table is made of all draws that are there. rank: the
-    /// part of this process under mpirun or srun, whose first process makes the table
+    /// Make part I of N of the draws, and no table: without --part the table is made of all draws
+    /// that are there. rank: the part of this process under mpirun or srun, whose first process
+    /// makes the table
     #[arg(long, value_name = "I/N|rank")]
     part: Option<Share>,
     /// Print what was written as JSON, not the tables

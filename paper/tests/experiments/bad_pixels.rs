@@ -9,7 +9,8 @@ fn bad_pixels_cost_little_more_than_their_light() {
     assert_eq!(found.rows.len(), 16);
     for row in &found.rows {
         assert!(row.seeds == [1, 1], "{row:?}");
-        // A residual of some 30 directions scatters by 13 %, three of these; half a noise as much is no bound.
+        // A residual of some 30 directions scatters by 13 %, three of these; half a noise as much
+        // is no bound.
         assert!(row.over_bound().iter().all(|ratio| (0.5..1.6).contains(ratio)), "{row:?}");
     }
 }

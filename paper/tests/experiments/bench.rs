@@ -1,4 +1,5 @@
-//! `cophase-paper bench`: speed against error: what is written, and that every variant finds what the f64 CPU chain finds. No time is asserted.
+//! `cophase-paper bench`: speed against error: what is written, and that every variant finds what
+//! the f64 CPU chain finds. No time is asserted.
 
 use crate::{Desk, number};
 use serde_json::Value;
@@ -51,14 +52,15 @@ fn every_variant_agrees_with_the_f64_cpu_chain() {
     let desk = Desk::with_scene();
     // Every device that is here.
     for point in points(&desk, &["--samples", "64", "--optimizer", "gauss-newton,paper"]) {
-        // The same operations in another order, and in f32 with 24 bits: 1e-5 is what the gradient of an f32 chain is
-        // held to everywhere.
+        // The same operations in another order, and in f32 with 24 bits: 1e-5 is what the gradient
+        // of an f32 chain is held to everywhere.
         let (gradient, estimate_nm) = if point["precision"] == "f64" { (1e-11, 1e-3) } else { (1e-5, 0.02) };
         assert!(number(&point, "gradient_error") <= gradient, "{point}");
         // A fit stops within 0.001 nm of its minimum, the paper's within 0.01.
         let stop_nm = if point["optimizer"] == "paper" { 0.02 } else { 0.0 };
         assert!(number(&point, "estimate_error_nm") <= estimate_nm + stop_nm, "{point}");
-        // The noise at a peak SNR of 100, and the error of a model of 64 samples: a few times the bound at most.
+        // The noise at a peak SNR of 100, and the error of a model of 64 samples: a few times the
+        // bound at most.
         let (error, bound) = (number(&point, "error_nm"), number(&point, "error_bound_nm"));
         assert!(point["optimizer"] == "paper" || (0.2 * bound..5.0 * bound).contains(&error), "{point}");
     }
@@ -71,8 +73,8 @@ fn a_planned_model_keeps_its_budget_or_comes_near() {
     let points = points(&desk, &options);
     let budgets: Vec<&Value> = points.iter().map(|point| &point["budget_nm"]).collect();
     assert_eq!(budgets, [&Value::Null, &Value::Null, &4.0.into(), &4.0.into()]);
-    // The plan holds for draws of its own with a tenth of head-room; two other draws may miss it by as much as noise
-    // scatters, which here is a fifth of the budget.
+    // The plan holds for draws of its own with a tenth of head-room; two other draws may miss it by
+    // as much as noise scatters, which here is a fifth of the budget.
     assert!(
         points.iter().all(|point| number(point, "phasing_nm") < 5.0 && number(point, "ncpa_nm") < 5.0),
         "{points:?}"
@@ -104,7 +106,8 @@ fn unmeasurable_cases_are_named() {
         assert_eq!(done.status, 2, "{options:?}: {}", done.err);
         assert!(done.err.contains(words), "{options:?}: {}", done.err);
     }
-    // A model that cannot be is left out with its reason; if it is the only one, that is the failure.
+    // A model that cannot be is left out with its reason; if it is the only one, that is the
+    // failure.
     let brief = [&["bench", "scene.toml", "--device", "cpu", "--precision", "f64"][..], &BRIEFLY[..]].concat();
     let done = desk.succeeds(&[&brief[..], &["--samples", "15,64"]].concat());
     assert!(done.err.contains("left out: 15 samples, gauss-newton: "), "{}", done.err);

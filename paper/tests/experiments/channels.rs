@@ -3,8 +3,9 @@
 use cophase::Control;
 use cophase_paper::reproduce::{ChannelRow, Progress, channels};
 
-/// In five of these draws the first fit of one colour ends in a wrong minimum with a χ² of 1.1. The χ² of the difference of the two
-/// colours shows it, and a second fit from the result of the other colour ends in the right minimum.
+/// In five of these draws the first fit of one colour ends in a wrong minimum with a χ² of 1.1. The
+/// χ² of the difference of the two colours shows it, and a second fit from the result of the other
+/// colour ends in the right minimum.
 #[test]
 fn colours_that_contradict_each_other_are_fitted_again() {
     let rows = ChannelRow::named(&["S/N 30".into()]).unwrap();
@@ -14,7 +15,8 @@ fn colours_that_contradict_each_other_are_fitted_again() {
     assert_eq!((draws.len(), wrong), (8, 0));
     for draw in draws {
         assert!(!draw.is_flagged, "{draw:?}");
-        // The RMS of 36 pistons, or of 66 modes, exceeds twice its expectation in none of a million draws.
+        // The RMS of 36 pistons, or of 66 modes, exceeds twice its expectation in none of a million
+        // draws.
         assert!((0..2).all(|part| draw.residual_nm[part] < 2.0 * draw.sigma_nm[part]), "{draw:?}");
     }
 }

@@ -1,4 +1,5 @@
-//! The command line of `cophase-paper`: parts of a table, ranks, outputs that are refused before the work.
+//! The command line of `cophase-paper`: parts of a table, ranks, outputs that are refused before
+//! the work.
 
 use crate::desk::{Desk, Done};
 use std::path::Path;

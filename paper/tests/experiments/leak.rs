@@ -1,4 +1,5 @@
-//! How much of the segments' pistons leaks into the mirror (section 4 of the paper), against an independent prototype.
+//! How much of the segments' pistons leaks into the mirror (section 4 of the paper), against an
+//! independent prototype.
 
 use cophase::Control;
 use cophase::Error;
@@ -28,24 +29,26 @@ fn pistons_leak_as_in_an_independent_prototype() {
     for row in &found.rows {
         let mirror_nm = statistics::mean(&row.mirror_nm());
         let prototype_nm = row.case.prototype_nm.unwrap();
-        // Draws scatter by 6 % (zonal) to 16 % (10.49 m, 0.75), the mean of six by 2 to 6 %, and that of the prototype's
-        // twelve by 2 to 5 %: 25 % is three times both together, and the most that two simulators may differ by.
+        // Draws scatter by 6 % (zonal) to 16 % (10.49 m, 0.75), the mean of six by 2 to 6 %, and
+        // that of the prototype's twelve by 2 to 5 %: 25 % is three times both together, and the
+        // most that two simulators may differ by.
         assert!((mirror_nm / prototype_nm - 1.0).abs() < 0.25, "{:?}: {mirror_nm}", row.case);
         for draw in &row.draws {
-            // 0.7^k of what actuators go (10 nm where nearly nothing leaks, 300 nm where all does) is below 1e-3 nm from
-            // k = 26 to 35 on. The sensor is not linear for steps between segments, so that the slowest mode takes
-            // longer, but not three times as long.
+            // 0.7^k of what actuators go (10 nm where nearly nothing leaks, 300 nm where all does)
+            // is below 1e-3 nm from k = 26 to 35 on. The sensor is not linear for steps between
+            // segments, so that the slowest mode takes longer, but not three times as long.
             assert!(draw.frames.is_some_and(|frames| (20..110).contains(&frames)), "{draw:?}");
             // Nothing is made of nothing: the three are sides of a triangle.
             assert!((draw.input_nm - draw.residual_nm).abs() <= draw.mirror_nm * (1.0 + 1e-9), "{draw:?}");
         }
     }
-    // Plain, then the mask on the real segments, on the paper's pupil, and with its wider reading: each leaks less, the
-    // same pistons in all (where they differ least, 13.9 and 9.6 nm over twelve draws, it is in eleven of the twelve).
+    // Plain, then the mask on the real segments, on the paper's pupil, and with its wider reading:
+    // each leaks less, the same pistons in all (where they differ least, 13.9 and 9.6 nm over
+    // twelve draws, it is in eleven of the twelve).
     let leaked: Vec<f64> = found.rows.iter().map(|row| statistics::mean(&row.mirror_nm())).collect();
     assert!(leaked.is_sorted_by(|more, less| more > less), "{leaked:?}");
-    // 36 pistons of 64.15 nm without their mean have 35 degrees of freedom, of which tip and tilt take nearly 2:
-    // √(33/35) is left, with a scatter of 3 % a draw.
+    // 36 pistons of 64.15 nm without their mean have 35 degrees of freedom, of which tip and tilt
+    // take nearly 2: √(33/35) is left, with a scatter of 3 % a draw.
     let input = statistics::mean(&found.rows[0].draws.iter().map(|draw| draw.input_nm).collect::<Vec<_>>());
     assert!((input / (64.15 * (33f64 / 35.0).sqrt()) - 1.0).abs() < 0.05, "{input}");
 }
@@ -85,8 +88,8 @@ fn corrected_segments_have_no_leakage() {
     let mut simulator = Simulator::with_truth(&scene, Telescope::new(&scene).unwrap(), truth).unwrap();
     for _ in 0..20 {
         let frame = simulator.step().unwrap();
-        // A flat wavefront: the sensor's rounding, 1e-7 of a spot's width of some 230 mas, and the gain of a few hundred
-        // nm per 100 mas on the weakest of its modes.
+        // A flat wavefront: the sensor's rounding, 1e-7 of a spot's width of some 230 mas, and the
+        // gain of a few hundred nm per 100 mas on the weakest of its modes.
         assert!(frame.residual_rms_nm < 0.01, "{}", frame.residual_rms_nm);
     }
     assert!(matches!(draw().with_pistons(&telescope, vec![0.0; 35]), Err(Error::Shape(_))));

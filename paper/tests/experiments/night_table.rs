@@ -1,4 +1,5 @@
-//! The paper's table from end to end, in little: loops of a third of a second, a few images, everything else as it is.
+//! The paper's table from end to end, in little: loops of a third of a second, a few images,
+//! everything else as it is.
 
 use cophase::Control;
 use cophase_paper::reproduce::{
@@ -49,8 +50,9 @@ fn the_table_is_the_same_on_one_core_and_on_many() {
     let residual = |row: &cophase_paper::reproduce::RowResult, way| row.residuals_nm(way).map(|values| values[0]);
     assert!(residual(inside, Way::Paper).iter().all(|nm| (1.0..16.0).contains(nm)));
     assert!(residual(inside, Way::Ours).iter().all(|nm| (0.03..0.3).contains(nm)));
-    // Behind this loop one image leaves 146 ± 33 nm in phasing and 163 ± 21 in NCPA the paper's way (30 images of 3
-    // minutes), two 105 ± 19 and 121 ± 16. Four, taken within 0.15 s, are worth about two: less than one leaves.
+    // Behind this loop one image leaves 146 ± 33 nm in phasing and 163 ± 21 in NCPA the paper's way
+    // (30 images of 3 minutes), two 105 ± 19 and 121 ± 16. Four, taken within 0.15 s, are worth
+    // about two: less than one leaves.
     for way in Way::BOTH {
         let [phasing, ncpa] = residual(behind, way);
         assert!((5.0..146.0).contains(&phasing) && (5.0..163.0).contains(&ncpa), "{way:?} {phasing} {ncpa}");
@@ -61,7 +63,8 @@ fn the_table_is_the_same_on_one_core_and_on_many() {
 
 #[test]
 fn loop_diverged_before_the_first_image_has_an_empty_line() {
-    // Five frames of lag at a gain of 1: far beyond the margin, and so many e-foldings in 0.2 s that no draw is spared.
+    // Five frames of lag at a gain of 1: far beyond the margin, and so many e-foldings in 0.2 s
+    // that no draw is spared.
     let mut conditions = short("2");
     conditions.settings.extend([("control.lag_frames", "5"), ("control.gain", "1")]);
     let done = AtomicUsize::new(0);
@@ -86,7 +89,8 @@ fn more_images_reduce_the_error() {
     for point in &made.points {
         assert_eq!(point.residuals_nm.len(), 10 / point.images, "{point:?}");
     }
-    // Ten images over half a second are some three of turbulence that has changed: 0.6, and the static part remains.
+    // Ten images over half a second are some three of turbulence that has changed: 0.6, and the
+    // static part remains.
     let ncpa = |images: usize| {
         let point = made.points.iter().find(|point| point.images == images && point.row == "pol-mask-inpaint").unwrap();
         point.residuals_nm.iter().map(|nm| nm[1]).sum::<f64>() / point.residuals_nm.len() as f64

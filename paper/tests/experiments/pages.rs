@@ -1,4 +1,5 @@
-//! The command lines `cophase-paper ...` of the pages, in blocks and between backticks, are those that the program accepts.
+//! The command lines `cophase-paper ...` of the pages, in blocks and between backticks, are those
+//! that the program accepts.
 
 use crate::PROGRAM;
 use crate::blocks::{self, Block};

@@ -17,8 +17,9 @@ fn the_error_bars_of_single_images_are_right() {
     for part in [0, 1] {
         let square = |draw: &cophase_paper::reproduce::PullDraw| (draw.residual_nm[part] / draw.sigma_nm[part]).powi(2);
         let pull = (draws.iter().map(square).sum::<f64>() / DRAWS as f64).sqrt();
-        // The RMS over n draws of a residual of k independent modes is known to 1/√(2nk): of 36 pistons to 4 %. Where a few
-        // weak directions dominate, these count: of five to 11 %, and 0.7 to 1.35 is three times as much.
+        // The RMS over n draws of a residual of k independent modes is known to 1/√(2nk): of 36
+        // pistons to 4 %. Where a few weak directions dominate, these count: of five to 11 %, and
+        // 0.7 to 1.35 is three times as much.
         println!("{}: {pull:.3}", ["phasing", "NCPA"][part]);
         assert!((0.7..1.35).contains(&pull), "part {part}: {pull}");
     }

@@ -4,15 +4,17 @@ use super::layer::{Layer, Window};
 use crate::ao::footprint::Footprint;
 use pulp::{Simd, WithSimd};
 
-/// Kernel: overwrites the footprint's spans of a map, and a few samples around them, with the sum of the layers.
+/// Kernel: overwrites the footprint's spans of a map, and a few samples around them, with the sum
+/// of the layers.
 pub(super) struct Blend<'a> {
     pub(super) layers: &'a [Layer],
     pub(super) footprint: &'a Footprint,
     pub(super) opd_nm: &'a mut [f32],
 }
 
-/// Rows that are computed together. A row of a layer, once interpolated along x, contributes to the two rows next to
-/// it. The time is limited by loads that cross cache lines: 10 for 4 rows instead of 16.
+/// Rows that are computed together. A row of a layer, once interpolated along x, contributes to the
+/// two rows next to it. The time is limited by loads that cross cache lines: 10 for 4 rows instead
+/// of 16.
 const BAND: usize = 4;
 
 impl WithSimd for Blend<'_> {
@@ -50,8 +52,9 @@ fn blend<S: Simd, const ROWS: usize>(simd: S, layers: &[Layer], footprint: &Foot
     }
 }
 
-/// Adds the window's rows from `y` on and columns from `first` on, a multiple of the vector's length. Products and sums
-/// are not fused, so that the result does not depend on the length of the vectors.
+/// Adds the window's rows from `y` on and columns from `first` on, a multiple of the vector's
+/// length. Products and sums are not fused, so that the result does not depend on the length of the
+/// vectors.
 #[inline(always)]
 fn add<S: Simd, const ROWS: usize>(simd: S, window: Window, y: usize, first: usize, out: &mut [&mut [f32]; ROWS]) {
     let [x0, x1, y0, y1] = [1.0 - window.shift_x, window.shift_x, 1.0 - window.shift_y, window.shift_y]
@@ -79,8 +82,9 @@ fn add<S: Simd, const ROWS: usize>(simd: S, window: Window, y: usize, first: usi
     }
 }
 
-/// `len` samples of the window's row `y` from column `first` on, and their right neighbours. A function, as the closure
-/// of `array::from_fn` is a call of its own wherever the compiler does not inline it: 2 % of the loop's time.
+/// `len` samples of the window's row `y` from column `first` on, and their right neighbours. A
+/// function, as the closure of `array::from_fn` is a call of its own wherever the compiler does not
+/// inline it: 2 % of the loop's time.
 #[inline(always)]
 fn row<'a, S: Simd>(window: &Window<'a>, y: usize, first: usize, len: usize) -> [&'a [S::f32s]; 2] {
     let values = &window.values[window.starts[y] + first..][..len + 1];

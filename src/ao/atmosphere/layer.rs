@@ -1,9 +1,10 @@
 //! Turbulent layer: the part of its ribbon that the wind moves over the pupil.
 //!
-//! The ribbon is extruded along the axis with the larger wind component, towards the wind's origin. It is kept in a
-//! ring of rows (extruded along y) or of columns (extruded along x, stored twice so that a window never wraps). The
-//! smaller wind component moves the window across the ribbon. A row stays in use while the window moves by about its
-//! own length along the ribbon; the window moves by no more than that across, so only this part of the period is kept.
+//! The ribbon is extruded along the axis with the larger wind component, towards the wind's origin.
+//! It is kept in a ring of rows (extruded along y) or of columns (extruded along x, stored twice so
+//! that a window never wraps). The smaller wind component moves the window across the ribbon. A row
+//! stays in use while the window moves by about its own length along the ribbon; the window moves
+//! by no more than that across, so only this part of the period is kept.
 
 use super::ribbon::{BLOCK, Ribbon};
 use crate::ao::footprint::LANES;
@@ -53,8 +54,9 @@ pub(super) struct Layer {
 const FURTHEST: f64 = 1e18;
 
 impl Layer {
-    /// Layer of `samples` × `samples` points in rows of `stride`, `amplitude` times the ribbon. The turbulence moves by
-    /// `velocity` = (x, y) samples per frame. The ribbon is independent of its past after `memory` rows.
+    /// Layer of `samples` × `samples` points in rows of `stride`, `amplitude` times the ribbon. The
+    /// turbulence moves by `velocity` = (x, y) samples per frame. The ribbon is independent of its
+    /// past after `memory` rows.
     pub(super) fn new(
         ribbon: Ribbon,
         amplitude: f32,
@@ -72,7 +74,8 @@ impl Layer {
         let slant = if step[0] == 0.0 { 0.0 } else { step[1].abs() / step[0].abs() };
         let drift = ((ring + 1) as f64 * slant).ceil() as usize + 1;
         let kept = (stride + 2 + drift).next_multiple_of(LANES);
-        // One vector more than the ring stored twice: rows a power of two apart would conflict in the cache.
+        // One vector more than the ring stored twice: rows a power of two apart would conflict in
+        // the cache.
         let (rows, pitch) = if along_x { (kept, 2 * ring + LANES) } else { (ring, kept) };
         let mut layer = Self {
             ribbon,
@@ -111,7 +114,8 @@ impl Layer {
         let (first, last) = (along.div_euclid(block), (along + self.samples as i64).div_euclid(block));
         // Blocks ahead of the window, in the direction of motion.
         let (ahead, behind, onwards) = if self.step[0] < 0.0 { (first, last, -1) } else { (last, first, 1) };
-        // If the window is farther from the last block than the ribbon's memory, a new ribbon is drawn in front of it.
+        // If the window is farther from the last block than the ribbon's memory, a new ribbon is
+        // drawn in front of it.
         if (behind - self.edge) * onwards > self.memory / block + 1 {
             self.ribbon.restart();
             self.edge = behind - onwards;
@@ -125,7 +129,8 @@ impl Layer {
         }
     }
 
-    /// Stores the part of the last block that a window at `across` can reach while the block is in use.
+    /// Stores the part of the last block that a window at `across` can reach while the block is in
+    /// use.
     fn store(&mut self, across: i64) {
         let slot = self.edge.rem_euclid((self.ring / BLOCK) as i64) as usize;
         let base = across + self.drift.min(0);
@@ -160,7 +165,8 @@ impl Layer {
         }
     }
 
-    /// Stores the block as columns, twice. The row of a position across is the position modulo `kept`.
+    /// Stores the block as columns, twice. The row of a position across is the position modulo
+    /// `kept`.
     fn transpose(&mut self, slot: usize, base: i64) {
         let mut row = base.rem_euclid(self.kept as i64) as usize;
         for position in 0..self.kept {

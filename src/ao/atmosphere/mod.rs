@@ -6,15 +6,16 @@
 //!  spectrum                                                              Layer ┘
 //! ```
 //!
-//! A *ribbon* is a strip of turbulence that is periodic across the wind and extended row by row along it. The
-//! turbulence does not repeat, and only the rows over the pupil are kept, so memory does not grow with the run. The
-//! covariance of the samples is that of von Kármán's spectrum at every whole-sample separation of the pupil, within 0.1
-//! % of the structure function.
+//! A *ribbon* is a strip of turbulence that is periodic across the wind and extended row by row
+//! along it. The turbulence does not repeat, and only the rows over the pupil are kept, so memory
+//! does not grow with the run. The covariance of the samples is that of von Kármán's spectrum at
+//! every whole-sample separation of the pupil, within 0.1 % of the structure function.
 //!
 //! Two approximations:
-//! - Between samples the interpolation is bilinear. At a shift δ of a sample along an axis it multiplies the power at k
-//!   radians per sample by 1 − 2δ(1−δ)(1 − cos k): on average over shifts 0.96 at 12 samples per period, 0.83 at 6, 0.67
-//!   at 4 and 1/3 at the Nyquist frequency, along each axis.
+//! - Between samples the interpolation is bilinear. At a shift δ of a sample along an axis it
+//!   multiplies the power at k radians per sample by 1 − 2δ(1−δ)(1 − cos k): on average over shifts
+//!   0.96 at 12 samples per period, 0.83 at 6, 0.67 at 4 and 1/3 at the Nyquist frequency, along
+//!   each axis.
 //! - An outer scale beyond [`LARGEST_OUTER_SCALE`] grid widths is replaced by that many.
 
 mod blend;
@@ -37,16 +38,20 @@ use rand_chacha::ChaCha8Rng;
 use ribbon::{Law, Ribbon};
 use std::sync::Arc;
 
-/// Longest outer scale that is modelled, in widths of the grid. A longer one adds little more than tilt over the pupil,
-/// and would make the ribbon wider in proportion.
+/// Longest outer scale that is modelled, in widths of the grid. A longer one adds little more than
+/// tilt over the pupil, and would make the ribbon wider in proportion.
 pub const LARGEST_OUTER_SCALE: f64 = 20.0;
-/// Shortest outer scale that is modelled, in samples: the wavefront is then white, and its variance negligible.
+/// Shortest outer scale that is modelled, in samples: the wavefront is then white, and its variance
+/// negligible.
 const SMALLEST_OUTER_SCALE: f64 = 1e-6;
-/// Distance, in outer scales, at which the wavefront counts as independent: its correlation at x = 2π·4 is 1e-10.
+/// Distance, in outer scales, at which the wavefront counts as independent: its correlation at x =
+/// 2π·4 is 1e-10.
 const MEMORY: f64 = 4.0;
-/// Outer scales by which the ribbon's period exceeds the pupil: the correlation at that distance is 2e-4.
+/// Outer scales by which the ribbon's period exceeds the pupil: the correlation at that distance is
+/// 2e-4.
 const MARGIN: f64 = 1.5;
-/// Largest motion in a frame, samples; a larger one is replaced by it. Both give independent wavefronts.
+/// Largest motion in a frame, samples; a larger one is replaced by it. Both give independent
+/// wavefronts.
 const LARGEST_STEP: f64 = 1e9;
 
 /// Layers of turbulence over a footprint, frame by frame.
@@ -58,16 +63,17 @@ pub struct Atmosphere {
 }
 
 impl Atmosphere {
-    /// Layers of `turbulence` over `footprint` on `grid`, a frame every `frame_s` seconds. Without layers the wavefront
-    /// is flat.
+    /// Layers of `turbulence` over `footprint` on `grid`, a frame every `frame_s` seconds. Without
+    /// layers the wavefront is flat.
     ///
-    /// Fractions are those of Cn² (of r0^(−5/3)) relative to their sum. The same seed gives the same turbulence; layer
-    /// i draws from the stream 2³² + i of [`ChaCha8Rng`].
+    /// Fractions are those of Cn² (of r0^(−5/3)) relative to their sum. The same seed gives the
+    /// same turbulence; layer i draws from the stream 2³² + i of [`ChaCha8Rng`].
     ///
     /// # Errors
-    /// [`Error::Shape`] for a footprint of another grid, or lists of `turbulence` of different lengths;
-    /// [`Error::Value`] for a frame without a positive, finite duration, a wind that is not finite, fractions without a
-    /// positive sum, statistics that [`VonKarman`] refuses, or wavefronts too large for single precision.
+    /// [`Error::Shape`] for a footprint of another grid, or lists of `turbulence` of different
+    /// lengths; [`Error::Value`] for a frame without a positive, finite duration, a wind that is
+    /// not finite, fractions without a positive sum, statistics that [`VonKarman`] refuses, or
+    /// wavefronts too large for single precision.
     pub fn new(
         turbulence: &TurbulenceScene,
         grid: &Grid,
@@ -102,8 +108,8 @@ impl Atmosphere {
         Ok(Self { layers, footprint: footprint.clone(), frame: 0 })
     }
 
-    /// Writes the OPD of the next frame, nm, over the spans of the footprint: a map of [`Footprint::len`] values. The
-    /// first frame is at time 0.
+    /// Writes the OPD of the next frame, nm, over the spans of the footprint: a map of
+    /// [`Footprint::len`] values. The first frame is at time 0.
     ///
     /// # Errors
     /// [`Error::Shape`] for a map of wrong length.
@@ -123,8 +129,8 @@ impl Atmosphere {
         Ok(())
     }
 
-    /// OPD of each layer at the last frame (before the first frame: at time 0), nm: maps over the spans of the
-    /// footprint.
+    /// OPD of each layer at the last frame (before the first frame: at time 0), nm: maps over the
+    /// spans of the footprint.
     pub fn layers_nm(&self) -> Vec<AlignedBuffer> {
         let map = |layer| {
             let mut opd_nm = self.footprint.zeros();

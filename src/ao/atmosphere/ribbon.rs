@@ -1,4 +1,5 @@
-//! Ribbon: endless strip of turbulence, drawn row by row, periodic across and without repetition along.
+//! Ribbon: endless strip of turbulence, drawn row by row, periodic across and without repetition
+//! along.
 
 use super::spectrum::{Lattice, POLES, Process};
 use crate::Result;
@@ -12,13 +13,14 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Rows drawn at a time: a cache line of a column; the recursion's coefficients are loaded once for all of them.
+/// Rows drawn at a time: a cache line of a column; the recursion's coefficients are loaded once for
+/// all of them.
 pub(super) const BLOCK: usize = 16;
 
 /// Statistics of a ribbon: a [`Process`] along it for each frequency across.
 ///
-/// The field is y(t, j) = Σ_m c_m(t)·exp(2πi·mj/period), so its covariance is that of the lattice's spectrum along, and
-/// its periodic repetition across.
+/// The field is y(t, j) = Σ_m c_m(t)·exp(2πi·mj/period), so its covariance is that of the lattice's
+/// spectrum along, and its periodic repetition across.
 pub(super) struct Law {
     period: usize,
     /// Frequencies 0 to period/2, in groups of [`LANES`].
@@ -37,16 +39,16 @@ struct Group {
 }
 
 impl Law {
-    /// Statistics of a ribbon of even width `period`, for an outer scale in samples and a Fried parameter of one
-    /// sample.
+    /// Statistics of a ribbon of even width `period`, for an outer scale in samples and a Fried
+    /// parameter of one sample.
     pub(super) fn new(period: usize, outer_scale: f64) -> Result<Self> {
         let lattice = Lattice::new(outer_scale)?;
         let processes: Vec<Process> = (0..=period / 2)
             .into_par_iter()
             .map(|m| {
                 let mut process = Process::fit(&lattice, TAU * m as f64 / period as f64);
-                // The power is divided between m and −m, and between real and imaginary part; the amplitudes at the
-                // frequencies 0 and period/2 are real and have no partner.
+                // The power is divided between m and −m, and between real and imaginary part; the
+                // amplitudes at the frequencies 0 and period/2 are real and have no partner.
                 let parts = if m == 0 || 2 * m == period { 1.0 } else { 2.0 };
                 process.gains = process.gains.map(|gain| gain / (parts * period as f64).sqrt());
                 process
@@ -65,7 +67,8 @@ impl Law {
         Ok(Self { period, groups, stationary: stationary.collect(), fft })
     }
 
-    /// Covariance of points `along` rows and `across` positions apart, nm²; exact, from the coefficients in use.
+    /// Covariance of points `along` rows and `across` positions apart, nm²; exact, from the
+    /// coefficients in use.
     #[cfg(test)]
     pub(super) fn covariance_nm2(&self, along: i32, across: usize) -> f64 {
         let one = |m: usize| {
@@ -146,13 +149,14 @@ impl Ribbon {
         pulp::Arch::new().dispatch(recursion);
     }
 
-    /// Transforms rows 2·`pair` and 2·`pair` + 1 of the last block; they are the real and imaginary parts of one
-    /// period.
+    /// Transforms rows 2·`pair` and 2·`pair` + 1 of the last block; they are the real and imaginary
+    /// parts of one period.
     pub(super) fn rows(&mut self, pair: usize) -> &[Complex<f32>] {
         let (plane, period) = (self.law.plane(), self.law.period);
         let [a_re, a_im, b_re, b_im]: [&[f32]; 4] =
             std::array::from_fn(|i| &self.spectra[(4 * pair + i) * plane..][..period / 2 + 1]);
-        // Real rows a and b have spectra with a(−m) = a(m)*. One transform of a + ib gives both rows:
+        // Real rows a and b have spectra with a(−m) = a(m)*. One transform of a + ib gives both
+        // rows:
         let (low, high) = self.pair.split_at_mut(period / 2 + 1);
         for (m, value) in low.iter_mut().enumerate() {
             *value = Complex::new(a_re[m] - b_im[m], a_im[m] + b_re[m]);
@@ -168,8 +172,9 @@ impl Ribbon {
     }
 }
 
-/// Kernel: advances all frequencies by [`BLOCK`] rows; a group's states and coefficients stay in registers. Products
-/// and sums are not fused, so that the result does not depend on the length of the vectors.
+/// Kernel: advances all frequencies by [`BLOCK`] rows; a group's states and coefficients stay in
+/// registers. Products and sums are not fused, so that the result does not depend on the length of
+/// the vectors.
 struct Recursion<'a> {
     law: &'a Law,
     states: &'a mut [[[Lanes; POLES]; 2]],

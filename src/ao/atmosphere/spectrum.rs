@@ -1,22 +1,26 @@
-//! Von Kármán turbulence on a lattice: its power spectrum, and a short recursion with that spectrum.
+//! Von Kármán turbulence on a lattice: its power spectrum, and a short recursion with that
+//! spectrum.
 
 use crate::Result;
 use crate::modes::VonKarman;
 use std::f64::consts::{PI, TAU};
 
-/// Poles of a [`Process`]. With five, the spectrum has errors of at most 0.4 % for Keck with an outer scale of 50 m,
-/// and of at most 1.2 % for an outer scale of 20 pupils (from a NumPy prototype), the structure function of 0.1 % (from
-/// the tests). With four the spectrum's errors would be 1.6 % and 4 %.
+/// Poles of a [`Process`]. With five, the spectrum has errors of at most 0.4 % for Keck with an
+/// outer scale of 50 m, and of at most 1.2 % for an outer scale of 20 pupils (from a NumPy
+/// prototype), the structure function of 0.1 % (from the tests). With four the spectrum's errors
+/// would be 1.6 % and 4 %.
 pub(super) const POLES: usize = 5;
 /// Number of zeros with positive location; one more lies beyond the Nyquist frequency.
 const ZEROS: usize = POLES - 2;
 /// Parameters of the fit, as logarithms: scale, poles, zeros, last zero.
 const UNKNOWNS: usize = 2 * POLES;
 
-/// Power spectral density of the wavefront sampled on a square lattice of unit pitch, for a Fried parameter of one
-/// pitch: the sum over all aliases of the continuous spectrum, nm² per (cycle per sample)².
+/// Power spectral density of the wavefront sampled on a square lattice of unit pitch, for a Fried
+/// parameter of one pitch: the sum over all aliases of the continuous spectrum, nm² per (cycle per
+/// sample)².
 ///
-/// Samples with this spectrum have exactly the covariance of the continuous wavefront at whole-sample separations.
+/// Samples with this spectrum have exactly the covariance of the continuous wavefront at
+/// whole-sample separations.
 pub(super) struct Lattice {
     /// Continuous spectrum: scale·(f² + corner2)^(−11/6), f in cycles per sample.
     scale: f64,
@@ -40,7 +44,8 @@ impl Lattice {
             for b in -RADIUS..=RADIUS {
                 let n2 = f64::from(a * a + b * b);
                 if a.abs().max(b.abs()) > 1 && n2 <= f64::from(RADIUS * RADIUS) {
-                    // g = (n² + c)^(−s); averaged over the lattice's symmetry, g(n + f) = g(n) + f²/4·∇²g + O(f⁴).
+                    // g = (n² + c)^(−s); averaged over the lattice's symmetry, g(n + f) = g(n) +
+                    // f²/4·∇²g + O(f⁴).
                     let base = n2 + corner2;
                     let g = base.powf(-EXPONENT);
                     far += g;
@@ -71,14 +76,15 @@ impl Lattice {
     }
 }
 
-/// Stationary Gaussian process: a sum of first-order recursions driven by the same unit white noise w,
-/// s_i(t) = pole_i·s_i(t−1) + gain_i·w(t), y = Σ s_i.
+/// Stationary Gaussian process: a sum of first-order recursions driven by the same unit white noise
+/// w, s_i(t) = pole_i·s_i(t−1) + gain_i·w(t), y = Σ s_i.
 ///
-/// The spectrum along a ribbon at one frequency across is close to (k² + κ²)^(−11/6), which no finite recursion
-/// reproduces exactly. It is fitted by a ratio of polynomials in u = 4 sin²(k/2), C·(4 + b − u)·Π(u + z_j)/Π(u + p_i),
-/// all terms positive; the fit minimises the error of ln S on a logarithmic range of k from below κ to π. An error of
-/// ln S of at most ε implies a relative error of at most ε of every structure function, which is an integral over S
-/// with the positive weight 2(1 − cos kr). (An autoregressive fit to the first lags would underestimate the low
+/// The spectrum along a ribbon at one frequency across is close to (k² + κ²)^(−11/6), which no
+/// finite recursion reproduces exactly. It is fitted by a ratio of polynomials in u = 4 sin²(k/2),
+/// C·(4 + b − u)·Π(u + z_j)/Π(u + p_i), all terms positive; the fit minimises the error of ln S on
+/// a logarithmic range of k from below κ to π. An error of ln S of at most ε implies a relative
+/// error of at most ε of every structure function, which is an integral over S with the positive
+/// weight 2(1 − cos kr). (An autoregressive fit to the first lags would underestimate the low
 /// frequencies.) Every factor is
 /// |1 − c·e^(−ik)|² up to scale.
 #[derive(Debug, Clone, Copy)]
@@ -91,8 +97,8 @@ pub(super) struct Process {
 const POINTS: usize = 40;
 /// Error of ln S at which the fit stops: far below the largest error at the lowest frequencies.
 const CLOSE_ENOUGH: f64 = 5e-4;
-/// Ridge penalty on the distance from the start: keeps parameters that the data do not determine (of a flat spectrum)
-/// there, and so the poles distinct.
+/// Ridge penalty on the distance from the start: keeps parameters that the data do not determine
+/// (of a flat spectrum) there, and so the poles distinct.
 const RIDGE: f64 = 1e-5;
 
 /// Target spectrum and start of the fit.
@@ -149,7 +155,8 @@ impl Process {
         Self { poles, gains }
     }
 
-    /// Lower Cholesky factor of the states' stationary covariance, gain_i·gain_j/(1 − pole_i·pole_j).
+    /// Lower Cholesky factor of the states' stationary covariance, gain_i·gain_j/(1 −
+    /// pole_i·pole_j).
     pub(super) fn stationary(&self) -> [[f64; POLES]; POLES] {
         let entry = |i: usize, j: usize| self.gains[i] * self.gains[j] / (1.0 - self.poles[i] * self.poles[j]);
         cholesky(std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j))))
@@ -180,7 +187,8 @@ impl Target {
         target
     }
 
-    /// Computes the sum of squared residuals with the ridge, and the residual of ln S at each frequency.
+    /// Computes the sum of squared residuals with the ridge, and the residual of ln S at each
+    /// frequency.
     fn cost(&self, at: &[f64; UNKNOWNS]) -> (f64, [f64; POINTS]) {
         let x: [f64; UNKNOWNS] = at.map(f64::exp);
         let residuals: [f64; POINTS] = std::array::from_fn(|k| {
@@ -224,8 +232,9 @@ impl Target {
     }
 }
 
-/// Start of the fit: (u + κ²)^(−11/6) = (u + κ²)^(−2)·(u + κ²)^(1/6) is two poles at the corner, then pairs of a zero
-/// and a pole a sixth of their spacing apart. For a nearly flat spectrum (κ > 2) the corner is 2.
+/// Start of the fit: (u + κ²)^(−11/6) = (u + κ²)^(−2)·(u + κ²)^(1/6) is two poles at the corner,
+/// then pairs of a zero and a pole a sixth of their spacing apart. For a nearly flat spectrum (κ >
+/// 2) the corner is 2.
 fn initial_guess(corner: f64) -> [f64; UNKNOWNS] {
     let low = (corner * corner).min(4.0).ln();
     let spacing = ((10f64.ln() - low) / ZEROS as f64).max(0.5);
@@ -240,8 +249,8 @@ fn initial_guess(corner: f64) -> [f64; UNKNOWNS] {
     })
 }
 
-/// Lower Cholesky factor of a matrix that is positive semi-definite up to rounding; a pivot at the level of rounding is
-/// taken as 0.
+/// Lower Cholesky factor of a matrix that is positive semi-definite up to rounding; a pivot at the
+/// level of rounding is taken as 0.
 fn cholesky<const N: usize>(mut a: [[f64; N]; N]) -> [[f64; N]; N] {
     for j in 0..N {
         let diagonal = a[j][j];

@@ -65,9 +65,10 @@ const SIGMAS: f64 = 4.5;
 
 #[test]
 fn the_ribbon_statistics_have_von_karmans_structure_function() {
-    // The largest errors of the spectra are 0.4 % (50 m over Keck) and 1.2 % (20 widths), with either sign, so they
-    // mostly cancel in an integral over frequencies. The period adds up to 2·B(1.5 outer scales) = 2e-4·2·B(0), 0.1 %
-    // at the longest separations. Separations along extend to 3 pupils. The last pupil is that of the tests below.
+    // The largest errors of the spectra are 0.4 % (50 m over Keck) and 1.2 % (20 widths), with
+    // either sign, so they mostly cancel in an integral over frequencies. The period adds up to
+    // 2·B(1.5 outer scales) = 2e-4·2·B(0), 0.1 % at the longest separations. Separations along
+    // extend to 3 pupils. The last pupil is that of the tests below.
     for (samples, outer_scale) in
         [(240, 2.0), (240, 50.0 / 11.25 * 240.0), (240, LARGEST_OUTER_SCALE * 240.0), (64, 80.0)]
     {
@@ -88,7 +89,8 @@ fn the_ribbon_statistics_have_von_karmans_structure_function() {
     }
 }
 
-/// Frames 400 samples apart are independent where the outer scale is 80 samples: the correlation is 1e-13.
+/// Frames 400 samples apart are independent where the outer scale is 80 samples: the correlation is
+/// 1e-13.
 const APART: f64 = 400.0;
 const OUTER_SCALE_M: f64 = 80.0 * PITCH_M;
 
@@ -189,8 +191,8 @@ fn zernike_coefficients_have_von_karmans_covariance() {
 
 #[test]
 fn the_flow_is_frozen_and_follows_the_wind() {
-    // The same pattern moves by (x, y) samples in each frame. At whole samples the values are equal, for hundreds of
-    // frames, in rings that wrap every 48 samples.
+    // The same pattern moves by (x, y) samples in each frame. At whole samples the values are
+    // equal, for hundreds of frames, in rings that wrap every 48 samples.
     for (x, y) in [(3i64, 0i64), (-3, 0), (0, 2), (0, -2), (4, 3), (4, -3), (-3, 4), (-3, -4), (5, 5), (-1, 7)] {
         let samples = 32;
         let (speed, direction) = ((x as f64).hypot(y as f64), (y as f64).atan2(x as f64));
@@ -206,7 +208,8 @@ fn the_flow_is_frozen_and_follows_the_wind() {
                     count += 1;
                 }
             }
-            // A position may round to just below a whole sample: a weight of 1e-13 on values of about 1000 nm.
+            // A position may round to just below a whole sample: a weight of 1e-13 on values of
+            // about 1000 nm.
             assert!(count > 500 && worst < 1e-3, "wind ({x}, {y}), frame {frame}: {worst:.1e} nm");
             before = after;
         }
@@ -236,8 +239,8 @@ fn between_samples_the_interpolation_is_bilinear() {
 
 #[test]
 fn the_turbulence_does_not_repeat() {
-    // A short outer scale: a window of 64 samples has about 50 independent cells, and independent windows correlate by
-    // 0.15.
+    // A short outer scale: a window of 64 samples has about 50 independent cells, and independent
+    // windows correlate by 0.15.
     let samples = 64;
     let correlation = |a: &Array2<f64>, b: &Array2<f64>| {
         let (a, b) = (a - a.mean().unwrap(), b - b.mean().unwrap());
@@ -246,8 +249,8 @@ fn the_turbulence_does_not_repeat() {
     let (grid, footprint) = square(samples);
     let scene = turbulence(0.5, &[(1.0, 1.0, 0.0)]);
     let period = law(&scene, &grid, &footprint).unwrap().period();
-    // Diagonal wind: after a period the window is at the same position across. Wind along an axis: the ring has
-    // wrapped.
+    // Diagonal wind: after a period the window is at the same position across. Wind along an axis:
+    // the ring has wrapped.
     for (speed, direction, name) in [(2f64.sqrt(), PI / 4.0, "across"), (1.0, 0.0, "along"), (1.0, -FRAC_PI_2, "along")]
     {
         let mut atmosphere = open(samples, 0.5, &[(1.0, speed, direction)], 8);
@@ -267,8 +270,8 @@ fn layers_add_up_to_the_scenes_turbulence() {
     // Fractions as in a printed table, with a sum of 0.99.
     let layers = [(0.5, APART, 0.3), (0.3, APART, 2.0), (0.19, APART, -1.5)];
     let mut atmosphere = open(16, OUTER_SCALE_M, &layers, 9);
-    // These winds need interpolation, which attenuates k = π/4 and above: 2 % of the structure function at a separation
-    // of 8.
+    // These winds need interpolation, which attenuates k = π/4 and above: 2 % of the structure
+    // function at a separation of 8.
     let theory = VonKarman::new(0.16, OUTER_SCALE_M).unwrap().structure_nm2(8.0 * PITCH_M);
     let mut totals = vec![];
     let mut shares = vec![vec![]; 3];

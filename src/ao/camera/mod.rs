@@ -1,4 +1,5 @@
-//! Science camera behind the loop: PSFs of the residual wavefront together with the static aberrations.
+//! Science camera behind the loop: PSFs of the residual wavefront together with the static
+//! aberrations.
 
 mod strehl;
 mod view;
@@ -18,11 +19,12 @@ use pulp::{Arch, NullaryFnOnce};
 use std::sync::Arc;
 use wavelength::{CameraTransform, MonochromaticField, segment_weights};
 
-/// Samples around the illuminated area on which wavefronts are needed: a low-passed edge rings there, and by less than
-/// 1 % beyond them.
+/// Samples around the illuminated area on which wavefronts are needed: a low-passed edge rings
+/// there, and by less than 1 % beyond them.
 pub(super) const MARGIN_SAMPLES: usize = 4;
 
-/// Rows of the field that are transformed before they are transposed: a cache line holds 8 complex numbers.
+/// Rows of the field that are transformed before they are transposed: a cache line holds 8 complex
+/// numbers.
 const ROWS_PER_BLOCK: usize = 8;
 
 /// Science camera of one view. Clones share the static field and have work arrays of their own.
@@ -39,8 +41,8 @@ pub struct ScienceCamera {
 }
 
 impl ScienceCamera {
-    /// Camera of `view`. Its residual wavefronts include the segment errors if [`View::segments`] is true, and exclude
-    /// them otherwise.
+    /// Camera of `view`. Its residual wavefronts include the segment errors if [`View::segments`]
+    /// is true, and exclude them otherwise.
     ///
     /// # Errors
     /// [`crate::Error::Shape`] for an image wider than the sampling of the pupil allows.
@@ -50,7 +52,8 @@ impl ScienceCamera {
         let corner = 0.5 * (view.rows as f64).hypot(view.columns as f64) / view.samples_per_lambda_over_d;
         let filter = if view.spectrum { optics.filter.clone() } else { Filter::top_hat(view.bandwidth_fraction) };
         let count = wavelengths_to(corner, filter.width());
-        // Two maps for each wavelength, and a transform of complex numbers for each column of pixels.
+        // Two maps for each wavelength, and a transform of complex numbers for each column of
+        // pixels.
         let longest = n as f64 * view.samples_per_lambda_over_d * (1.0 + filter.width());
         let bytes = 8.0 * ((n * n * count) as f64 + view.columns as f64 * longest.max(n as f64));
         machine::check_memory(
@@ -84,8 +87,8 @@ impl ScienceCamera {
         self.rows * self.columns
     }
 
-    /// Adds the PSF of `residual_nm`, a map over the footprint, to `sum`, `[x, y]` (columns first: see
-    /// [`ScienceCamera::to_image`]). A PSF sums to 1 over an unbounded detector.
+    /// Adds the PSF of `residual_nm`, a map over the footprint, to `sum`, `[x, y]` (columns first:
+    /// see [`ScienceCamera::to_image`]). A PSF sums to 1 over an unbounded detector.
     pub fn add(&mut self, residual_nm: &[f32], sum: &mut [f32]) {
         for static_field in self.wavelengths.clone().iter() {
             self.transform_rows(static_field, residual_nm);
@@ -110,8 +113,9 @@ impl ScienceCamera {
         }
     }
 
-    /// Transforms the field of each row along x and stores it transposed, `[u][y]`, padded with zeros. Rows are
-    /// processed in blocks of [`ROWS_PER_BLOCK`], so that a column is written one cache line at a time.
+    /// Transforms the field of each row along x and stores it transposed, `[u][y]`, padded with
+    /// zeros. Rows are processed in blocks of [`ROWS_PER_BLOCK`], so that a column is written one
+    /// cache line at a time.
     fn transform_rows(&mut self, static_field: &MonochromaticField, residual_nm: &[f32]) {
         let zero = Complex32::new(0.0, 0.0);
         let n = self.footprint.samples();
@@ -179,7 +183,8 @@ impl ScienceCamera {
     }
 }
 
-/// Index in a transform of length `padded` of pixel `u` of an image whose axis is on pixel `pixels/2`.
+/// Index in a transform of length `padded` of pixel `u` of an image whose axis is on pixel
+/// `pixels/2`.
 fn frequency_index(u: usize, pixels: usize, padded: usize) -> usize {
     (u + padded - pixels / 2) % padded
 }

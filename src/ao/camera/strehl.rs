@@ -4,8 +4,8 @@ use crate::ao::footprint::{Footprint, LANES};
 use crate::ao::phase::unit_phasor;
 use pulp::{Arch, NullaryFnOnce};
 
-/// Strehl ratio of a residual wavefront at `wavelength_nm`: the intensity on the axis relative to that without
-/// aberration.
+/// Strehl ratio of a residual wavefront at `wavelength_nm`: the intensity on the axis relative to
+/// that without aberration.
 pub fn strehl_on_axis(footprint: &Footprint, residual_nm: &[f32], wavelength_nm: f64) -> f64 {
     let [re, im] = Arch::new().dispatch(OnAxis { footprint, residual_nm, turns_per_nm: (1.0 / wavelength_nm) as f32 });
     (re * re + im * im) / footprint.total().powi(2)

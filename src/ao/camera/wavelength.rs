@@ -12,8 +12,8 @@ use std::sync::Arc;
 /// Static field at one wavelength, and its transform.
 pub(super) struct MonochromaticField {
     pub(super) turns_per_nm: f32,
-    /// Static field over the footprint. It is multiplied by the phasor of the residual wavefront, which includes the
-    /// segment errors.
+    /// Static field over the footprint. It is multiplied by the phasor of the residual wavefront,
+    /// which includes the segment errors.
     pub(super) re: AlignedBuffer,
     pub(super) im: AlignedBuffer,
     /// Contribution to the PSF per |transform|².
@@ -113,16 +113,18 @@ impl MonochromaticField {
     }
 }
 
-/// Weights of the segments in the samples: low-passed if the pupil is known on a fine enough grid, else by area.
+/// Weights of the segments in the samples: low-passed if the pupil is known on a fine enough grid,
+/// else by area.
 ///
-/// Weights by area are a low pass too, but a poor one. At 240 samples over 11.25 m they attenuate an edge by 10 % at
-/// the frequencies that reach the rim of an image 120 λ/D wide, and alias 6 % of higher frequencies onto them. Pistons
-/// estimated from such images are 3 to 5 % too small.
+/// Weights by area are a low pass too, but a poor one. At 240 samples over 11.25 m they attenuate
+/// an edge by 10 % at the frequencies that reach the rim of an image 120 λ/D wide, and alias 6 % of
+/// higher frequencies onto them. Pistons estimated from such images are 3 to 5 % too small.
 pub(super) fn segment_weights(view: &View, optics: &CameraOptics) -> Result<SegmentWeights> {
     let (grid, telescope) = (optics.pupil.grid, optics.telescope);
     let needed = view.band_cycles(&telescope.pupil, optics.diversity);
     let pass = needed.min(largest_band_cycles(grid.samples()));
-    // A low pass needs a pupil map at least twice as fine as the grid, and samples enough for its transition.
+    // A low pass needs a pupil map at least twice as fine as the grid, and samples enough for its
+    // transition.
     if pass <= 0.0 || !telescope.is_fine() || telescope.truth_samples() < 2 * grid.samples() {
         return telescope.area_weights(grid);
     }

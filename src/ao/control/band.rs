@@ -1,7 +1,9 @@
-//! Symmetric band matrix, its factorisation `A = L·D·Lᵀ` in double precision, and the solution with the factors in single precision.
+//! Symmetric band matrix, its factorisation `A = L·D·Lᵀ` in double precision, and the solution with
+//! the factors in single precision.
 //!
-//! With b numbers below the diagonal and n unknowns, a solution reads 8·n·b bytes, where an inverse has 4·n². It has an order of additions
-//! that does not depend on the length of the processor's vectors.
+//! With b numbers below the diagonal and n unknowns, a solution reads 8·n·b bytes, where an inverse
+//! has 4·n². It has an order of additions that does not depend on the length of the processor's
+//! vectors.
 
 use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::LANES;
@@ -38,7 +40,8 @@ impl SymmetricBand {
         &self.columns[column * (self.width + 1)..][..=below]
     }
 
-    /// Sum of the magnitudes of the entries of each row farther than `width` from the diagonal, the largest of all rows.
+    /// Sum of the magnitudes of the entries of each row farther than `width` from the diagonal, the
+    /// largest of all rows.
     pub(super) fn largest_rest(&self, width: usize) -> f64 {
         let mut sums = vec![0.0f64; self.size];
         for column in 0..self.size {
@@ -75,7 +78,8 @@ impl SymmetricBand {
         out
     }
 
-    /// Largest eigenvalue of a positive semidefinite matrix, by the power method: within a per cent from below.
+    /// Largest eigenvalue of a positive semidefinite matrix, by the power method: within a per cent
+    /// from below.
     pub(super) fn largest_eigenvalue(&self) -> f64 {
         // No eigenvector of a mirror is orthogonal to this one.
         let mut vector: Vec<f64> = (0..self.size).map(|i| (1.0 + i as f64 * i as f64 * 0.37).sin()).collect();
@@ -94,8 +98,9 @@ impl SymmetricBand {
         value
     }
 
-    /// Replaces the matrix by its factors: D on the diagonal, L below. Without pivoting, which a positive definite matrix does not
-    /// need. The signs of D are those of the eigenvalues (Sylvester's law of inertia).
+    /// Replaces the matrix by its factors: D on the diagonal, L below. Without pivoting, which a
+    /// positive definite matrix does not need. The signs of D are those of the eigenvalues
+    /// (Sylvester's law of inertia).
     pub(super) fn factorise(&mut self) {
         let stride = self.width + 1;
         for column in 0..self.size {
@@ -137,10 +142,11 @@ impl SymmetricBand {
 
 /// Factors of a symmetric band matrix in single precision, in panels of [`LANES`] columns.
 ///
-/// A panel has a square on the diagonal, of which the inverse is stored, and `depth` rows below it, stored twice: column by column of
-/// each [`LANES`] rows for the forward pass, row by row for the backward pass. Every number is then part of a vector that is multiplied
-/// by one number of the other operand, and no vector of the solution straddles two that were just written, which a processor would wait
-/// for (a column at a time takes six times as long).
+/// A panel has a square on the diagonal, of which the inverse is stored, and `depth` rows below it,
+/// stored twice: column by column of each [`LANES`] rows for the forward pass, row by row for the
+/// backward pass. Every number is then part of a vector that is multiplied by one number of the
+/// other operand, and no vector of the solution straddles two that were just written, which a
+/// processor would wait for (a column at a time takes six times as long).
 #[derive(Debug)]
 pub(super) struct BandSolver {
     /// Rows below the square of a panel, a multiple of [`LANES`].
@@ -206,7 +212,8 @@ impl BandSolver {
     }
 }
 
-/// Inverse of a lower triangular matrix with ones on its diagonal, `[row][column]`, by forward substitution.
+/// Inverse of a lower triangular matrix with ones on its diagonal, `[row][column]`, by forward
+/// substitution.
 fn inverse_of_square(at: impl Fn(usize, usize) -> f64) -> [[f64; LANES]; LANES] {
     let columns: [[f64; LANES]; LANES] = std::array::from_fn(|column| {
         let mut solution = [0.0; LANES];
@@ -331,7 +338,8 @@ mod tests {
             vector.iter_mut().zip(&right).for_each(|(out, value)| *out = *value as f32);
             solver.solve(&mut vector);
             for (found, known) in vector.iter().zip(&solution) {
-                // A condition number below 3 and sums of up to 2·33 terms: 3·66·ε/2 with ε = 1.2e-7.
+                // A condition number below 3 and sums of up to 2·33 terms: 3·66·ε/2 with ε =
+                // 1.2e-7.
                 assert!((f64::from(*found) - known).abs() < 1.2e-5, "{size} {width}: {found} {known}");
             }
             assert!(vector[size..].iter().all(|value| *value == 0.0));

@@ -6,9 +6,10 @@ use crate::{Error, Result};
 use ndarray::ArrayView1;
 use std::sync::Arc;
 
-/// Linear recursion of the control law, L = `lag.frames`: the slopes of frame k determine the command of frame k + L,
-/// `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], m[k])`, clipped to the stroke. On the mirror in frame k is the mean
-/// `m[k] = (1 − newer)·c[k] + newer·c[k+1]`, since the next command takes effect within the frame; c[k] itself for a whole lag.
+/// Linear recursion of the control law, L = `lag.frames`: the slopes of frame k determine the
+/// command of frame k + L, `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], m[k])`, clipped to
+/// the stroke. On the mirror in frame k is the mean `m[k] = (1 − newer)·c[k] + newer·c[k+1]`, since
+/// the next command takes effect within the frame; c[k] itself for a whole lag.
 #[derive(Debug)]
 pub(super) struct ControlStep {
     /// Number of slopes in a frame.
@@ -19,7 +20,8 @@ pub(super) struct ControlStep {
     pub lag: LoopLag,
     /// Fraction of the last command that the next one keeps.
     pub retained: f32,
-    /// The map from the slopes, and from the command that was on the mirror while they were measured.
+    /// The map from the slopes, and from the command that was on the mirror while they were
+    /// measured.
     pub matrix: StepMap,
     /// Largest absolute command, nm; infinite for no limit.
     pub stroke_limit_nm: f32,
@@ -44,9 +46,10 @@ impl Controller {
         Self { queue, now: 0, mixed, workspace: step.matrix.workspace(), step }
     }
 
-    /// Advances by one frame. `slopes` (x of every subaperture, then y) were measured with the present
-    /// [`commands_nm`](Self::commands_nm) on the mirror. A command beyond the stroke is clipped, and the recursion
-    /// continues from the clipped command, so the integrator does not wind up. Does not allocate.
+    /// Advances by one frame. `slopes` (x of every subaperture, then y) were measured with the
+    /// present [`commands_nm`](Self::commands_nm) on the mirror. A command beyond the stroke is
+    /// clipped, and the recursion continues from the clipped command, so the integrator does not
+    /// wind up. Does not allocate.
     ///
     /// NaN slopes are not rejected; they make the commands NaN.
     ///
@@ -62,7 +65,8 @@ impl Controller {
         let change = step.matrix.apply(slopes, present, &mut self.workspace);
         let last = (self.now + step.lag.frames - 1) % step.lag.frames;
         let limit = step.stroke_limit_nm;
-        // The new command replaces that of the frame that ends; with a lag of 1 the latter is also the last command.
+        // The new command replaces that of the frame that ends; with a lag of 1 the latter is also
+        // the last command.
         for (i, change) in change.iter().enumerate() {
             self.queue[self.now][i] = step.retained.mul_add(self.queue[last][i], *change).clamp(-limit, limit);
         }
@@ -97,7 +101,8 @@ impl Controller {
         &self.queue[(self.now + self.step.lag.frames - 1) % self.step.lag.frames]
     }
 
-    /// Commands on the mirror in the coming frame, nm of wavefront; their mean where one takes effect within the frame.
+    /// Commands on the mirror in the coming frame, nm of wavefront; their mean where one takes
+    /// effect within the frame.
     pub fn commands_nm(&self) -> &[f32] {
         if self.step.lag.newer == 0.0 { &self.queue[self.now] } else { &self.mixed }
     }
@@ -143,8 +148,8 @@ mod tests {
                 if frame < lag {
                     assert!(controller.commands_nm().iter().all(|&command| command == 0.0), "lag {lag}, frame {frame}");
                 } else {
-                    // R and the sums are in single precision: a few ε = 1e-7 of the terms, which cancel by less than a
-                    // factor of ten.
+                    // R and the sums are in single precision: a few ε = 1e-7 of the terms, which
+                    // cancel by less than a factor of ten.
                     let error = relative_difference(&expected, controller.commands_nm());
                     assert!(error < 1e-5, "lag {lag}, frame {frame}: {error}");
                 }
@@ -177,8 +182,8 @@ mod tests {
 
     #[test]
     fn fractional_lag_loop_diverges_beyond_its_largest_stable_gain() {
-        // λ² − λ + g(0.6 + 0.4λ): |λ|² = 0.6 g once complex, so the limit is 1/0.6. The norm of 400 frames of λ changes by
-        // √0.96^400 = 3e-4 and √1.05^400 = 2e4.
+        // λ² − λ + g(0.6 + 0.4λ): |λ|² = 0.6 g once complex, so the limit is 1/0.6. The norm of 400
+        // frames of λ changes by √0.96^400 = 3e-4 and √1.05^400 = 2e4.
         let bench = Bench::small();
         let turbulence: Array1<f64> = irregular(32, 3).iter().map(|&slope| f64::from(slope)).collect();
         for (gain, is_stable) in [(1.6, true), (1.75, false)] {
@@ -224,7 +229,8 @@ mod tests {
 
     #[test]
     fn without_a_fill_all_laws_are_the_integrator() {
-        // RD is the identity on the controlled modes, and the other modes stay 0: (1 − g)c + gR(s + Dc) = c + gRs.
+        // RD is the identity on the controlled modes, and the other modes stay 0: (1 − g)c + gR(s +
+        // Dc) = c + gRs.
         let bench = Bench::keck();
         let turbulence: Array1<f64> = irregular(496, 3).iter().map(|&slope| 300.0 * f64::from(slope)).collect();
         let keys = |r#loop: &str, fill: &str| {
@@ -235,7 +241,8 @@ mod tests {
             for r#loop in ["pseudo-open-loop", "full-turbulence-slopes"] {
                 let other = run(bench, &keys(r#loop, fill), &turbulence, 20);
                 for (frame, (one, other)) in integrator.iter().zip(&other).enumerate() {
-                    // Single precision, with a condition number of up to a few hundred for the mask.
+                    // Single precision, with a condition number of up to a few hundred for the
+                    // mask.
                     let error = relative_difference(one, other);
                     assert!(error < 1e-4, "{fill}, {}, frame {frame}: {error}", r#loop);
                 }
@@ -245,7 +252,8 @@ mod tests {
 
     #[test]
     fn the_folded_step_equals_the_law() {
-        // All terms of each law in double precision, against the folded step; with a lag, a leak and a fill.
+        // All terms of each law in double precision, against the folded step; with a lag, a leak
+        // and a fill.
         let bench = Bench::keck();
         let (gain, leak, lag) = (0.3, 0.05, 3);
         for (r#loop, newer) in [
@@ -323,7 +331,8 @@ mod tests {
         }
         let pushed = controller.commands_nm().to_vec();
         assert!(pushed.contains(&(limit as f32)));
-        // One push in the opposite direction reverses every clipped command: the integrator has not wound up.
+        // One push in the opposite direction reverses every clipped command: the integrator has not
+        // wound up.
         controller.step(&back).unwrap();
         let (before, after) = (pushed.iter(), controller.commands_nm().iter());
         assert!(before.zip(after).filter(|(before, _)| before.abs() == limit as f32).all(|(b, a)| a * b < 0.0));

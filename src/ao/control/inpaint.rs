@@ -4,19 +4,21 @@ use crate::{Error, Result};
 use cophase_numerics::systems::least_squares;
 use ndarray::{Array2, s};
 
-/// Inpainting matrix M: replaces the slopes of masked subapertures, separately for the x slopes and the y slopes.
+/// Inpainting matrix M: replaces the slopes of masked subapertures, separately for the x slopes and
+/// the y slopes.
 ///
-/// It uses the plate metaphor, as the paper does (J. D'Errico, `inpaint_nans`, MATLAB Central, methods 0 and 1): masked
-/// cells of the map of lenslets, **and** those outside the pupil, are filled so that the sum of squares of the discrete
-/// Laplacian over all cells that touch a filled one is least. On the border of the map the Laplacian has only the
-/// second difference along the border; at a corner it has none. Unmasked slopes are not changed.
+/// It uses the plate metaphor, as the paper does (J. D'Errico, `inpaint_nans`, MATLAB Central,
+/// methods 0 and 1): masked cells of the map of lenslets, **and** those outside the pupil, are
+/// filled so that the sum of squares of the discrete Laplacian over all cells that touch a filled
+/// one is least. On the border of the map the Laplacian has only the second difference along the
+/// border; at a corner it has none. Unmasked slopes are not changed.
 ///
-/// The fill is linear in the unmasked slopes, so the matrix is computed once. The maps 1, x, y and xy satisfy every
-/// equation and are filled exactly.
+/// The fill is linear in the unmasked slopes, so the matrix is computed once. The maps 1, x, y and
+/// xy satisfy every equation and are filled exactly.
 ///
-/// The equations are solved by a dense QR decomposition. Its error grows with the condition number, that of the normal
-/// equations with its square. The system is smaller than the interaction matrix in both directions, so its solution
-/// takes less time than the reconstructor's.
+/// The equations are solved by a dense QR decomposition. Its error grows with the condition number,
+/// that of the normal equations with its square. The system is smaller than the interaction matrix
+/// in both directions, so its solution takes less time than the reconstructor's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Inpainting {
     /// `[subapertures, subapertures]`: filled = matrix · measured.
@@ -24,12 +26,13 @@ pub struct Inpainting {
 }
 
 impl Inpainting {
-    /// Inpainting matrix for the masked ones of `subapertures` (flat indices `row·lenslets_across + column`,
-    /// ascending).
+    /// Inpainting matrix for the masked ones of `subapertures` (flat indices
+    /// `row·lenslets_across + column`, ascending).
     ///
     /// # Errors
-    /// [`Error::Shape`] for a mask of wrong length, [`Error::Value`] for subapertures that are out of range or not
-    /// ascending, or if the unmasked ones do not determine the fill (fewer than four, or all in one line).
+    /// [`Error::Shape`] for a mask of wrong length, [`Error::Value`] for subapertures that are out
+    /// of range or not ascending, or if the unmasked ones do not determine the fill (fewer than
+    /// four, or all in one line).
     pub fn new(lenslets_across: usize, subapertures: &[usize], mask: &[bool]) -> Result<Self> {
         super::check_subapertures(lenslets_across, subapertures)?;
         super::check_mask(subapertures, mask)?;
@@ -59,14 +62,14 @@ impl Inpainting {
         Ok(Self { matrix })
     }
 
-    /// `[subapertures, subapertures]`: filled slopes of one axis = matrix · measured slopes. The columns of masked
-    /// subapertures are zero.
+    /// `[subapertures, subapertures]`: filled slopes of one axis = matrix · measured slopes. The
+    /// columns of masked subapertures are zero.
     pub fn matrix(&self) -> &Array2<f64> {
         &self.matrix
     }
 
-    /// Folds M into a matrix `[rows, 2·subapertures]` that acts on filled slopes: `reconstructor · M` for both axes,
-    /// which acts on measured slopes.
+    /// Folds M into a matrix `[rows, 2·subapertures]` that acts on filled slopes:
+    /// `reconstructor · M` for both axes, which acts on measured slopes.
     pub(super) fn fold_into(&self, reconstructor: &Array2<f64>) -> Array2<f64> {
         let count = self.matrix.nrows();
         let mut product = Array2::zeros(reconstructor.dim());
@@ -122,7 +125,8 @@ impl Cells {
         terms
     }
 
-    /// Equations `unknown · filled = known · good`, one row for each cell whose Laplacian touches a filled one.
+    /// Equations `unknown · filled = known · good`, one row for each cell whose Laplacian touches a
+    /// filled one.
     fn equations(&self) -> (Array2<f64>, Array2<f64>) {
         let touches = |terms: &Vec<(usize, f64)>| terms.iter().any(|&(i, _)| matches!(self.kinds[i], Cell::Filled(_)));
         let rows: Vec<_> = (0..self.kinds.len()).map(|index| self.laplacian(index)).filter(touches).collect();
@@ -146,8 +150,8 @@ mod tests {
     use super::*;
     use ndarray::Array1;
 
-    /// Largest error of the fill of a map f(x, y), x and y in lenslets from the centre. Unmasked slopes must not
-    /// change.
+    /// Largest error of the fill of a map f(x, y), x and y in lenslets from the centre. Unmasked
+    /// slopes must not change.
     fn largest_error(map: impl Fn(f64, f64) -> f64) -> f64 {
         let (_, subapertures) = keck(240);
         let mask = keck_mask();
@@ -168,8 +172,9 @@ mod tests {
 
     #[test]
     fn maps_without_second_differences_are_filled_exactly() {
-        // Maps whose second differences vanish satisfy every equation, so they are the least-squares solution.
-        // Rounding: values up to 180, and a condition number of about 1e3 (two second differences over a dozen cells).
+        // Maps whose second differences vanish satisfy every equation, so they are the
+        // least-squares solution. Rounding: values up to 180, and a condition number of about 1e3
+        // (two second differences over a dozen cells).
         for exact in [|_: f64, _: f64| 1.0, |x: f64, y: f64| 3.0 * x - 5.0 * y + 2.0, |x: f64, y: f64| 2.0 * x * y] {
             let error = largest_error(exact);
             assert!(error < 1e-10, "{error}");
@@ -178,9 +183,10 @@ mod tests {
 
     #[test]
     fn smooth_maps_are_filled_closely() {
-        // Equations at the map's border have one of the two second differences, so x² − y² has an error near the free
-        // edge of the plate. The plate bends less than x² everywhere, by about the curvature, 2, times the squared
-        // width of a masked patch, 1 to 2 cells, over 8: below 2. The values go up to 90.
+        // Equations at the map's border have one of the two second differences, so x² − y² has an
+        // error near the free edge of the plate. The plate bends less than x² everywhere, by about
+        // the curvature, 2, times the squared width of a masked patch, 1 to 2 cells, over 8: below
+        // 2. The values go up to 90.
         let saddle = largest_error(|x, y| x * x - y * y);
         let bowl = largest_error(|x, y| x * x + y * y);
         println!("saddle {saddle:.3}, bowl {bowl:.3}");
@@ -193,8 +199,8 @@ mod tests {
 
     #[test]
     fn the_fill_has_the_least_laplacian() {
-        // A map without symmetry. The gradient of the sum of squares vanishes to rounding, and the function is convex,
-        // so this is its minimum.
+        // A map without symmetry. The gradient of the sum of squares vanishes to rounding, and the
+        // function is convex, so this is its minimum.
         let subapertures: Vec<usize> = (0..36).filter(|&i| i != 0 && i != 35 && i != 30).collect();
         let mask: Vec<bool> = subapertures.iter().map(|&i| [8, 14, 15, 28].contains(&i)).collect();
         let cells = Cells::new(6, &subapertures, &mask);

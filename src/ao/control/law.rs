@@ -14,7 +14,8 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
 
-/// Control law of a scene for a plant. It is built once; [`ControlLaw::start`] creates a controller for each run.
+/// Control law of a scene for a plant. It is built once; [`ControlLaw::start`] creates a controller
+/// for each run.
 #[derive(Debug, Clone)]
 pub struct ControlLaw {
     step: Arc<ControlStep>,
@@ -31,12 +32,14 @@ enum Inverse {
 }
 
 impl ControlLaw {
-    /// Inverts the interaction matrix of `plant` with the settings of `scene`, and folds the law into one step.
+    /// Inverts the interaction matrix of `plant` with the settings of `scene`, and folds the law
+    /// into one step.
     ///
     /// # Errors
-    /// [`Error::Shape`] for arrays of the plant with inconsistent shapes; [`Error::Value`] for values that are not
-    /// finite, a stroke that is not positive, subapertures out of order, too few unmasked ones to inpaint, no mode left
-    /// to control, `basis = "kl"` without modes, or a gain, leak or lag outside the scene's ranges.
+    /// [`Error::Shape`] for arrays of the plant with inconsistent shapes; [`Error::Value`] for
+    /// values that are not finite, a stroke that is not positive, subapertures out of order, too
+    /// few unmasked ones to inpaint, no mode left to control, `basis = "kl"` without modes, or a
+    /// gain, leak or lag outside the scene's ranges.
     pub fn new(scene: &ControlScene, plant: &Plant) -> Result<Self> {
         check(scene)?;
         plant.check()?;
@@ -83,7 +86,8 @@ impl ControlLaw {
         Ok(Self { step: Arc::new(step), inverse: Inverse::Sparse(reconstructor), inpainting: None, stability })
     }
 
-    /// Stability of the loop for a sensor and a mirror that the interaction matrix describes exactly.
+    /// Stability of the loop for a sensor and a mirror that the interaction matrix describes
+    /// exactly.
     pub fn stability(&self) -> &Stability {
         &self.stability
     }
@@ -135,8 +139,8 @@ fn step(scene: &ControlScene, plant: &Plant, matrix: StepMap) -> ControlStep {
     }
 }
 
-/// Matrix from the commands on the mirror to the next commands, for laws that add back the mirror's own slopes;
-/// `command` is gR, `filled` is gRM if slopes are filled.
+/// Matrix from the commands on the mirror to the next commands, for laws that add back the mirror's
+/// own slopes; `command` is gR, `filled` is gRM if slopes are filled.
 fn on_commands(
     r#loop: Loop,
     command: &Array2<f64>,
@@ -151,7 +155,8 @@ fn on_commands(
     }
 }
 
-/// Checks the values that the scene's validation also checks: the struct's fields are public and may have been changed.
+/// Checks the values that the scene's validation also checks: the struct's fields are public and
+/// may have been changed.
 fn check(scene: &ControlScene) -> Result<()> {
     let value = |text: String| Err(Error::Value(text));
     if !(scene.gain.is_finite() && scene.gain > 0.0) {

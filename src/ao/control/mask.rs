@@ -3,21 +3,22 @@
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 
-/// Tolerance of the comparison with the threshold. Subapertures that are mirror images of each other differ by
-/// rounding, and a threshold equal to their share must treat them the same way.
+/// Tolerance of the comparison with the threshold. Subapertures that are mirror images of each
+/// other differ by rounding, and a threshold equal to their share must treat them the same way.
 const SAME_SHARE: f64 = 1e-9;
 
-/// Computes the mask, one flag for each of `subapertures` (flat indices `row·lenslets_across + column`), `true` =
-/// masked.
+/// Computes the mask, one flag for each of `subapertures` (flat indices
+/// `row·lenslets_across + column`), `true` = masked.
 ///
-/// The criterion is the paper's (its section 4.3). A subaperture with one segment is not masked. With two segments it
-/// is masked unless one of them has at least `dominant_fraction` of its light. With three it is masked for any size of
-/// the third, whose corner makes two steps. A segment counts if it owns an illuminated sample, so slivers that own none
-/// are missed; for Keck the number of masked subapertures is the same from 12 to 48 samples across a lenslet.
+/// The criterion is the paper's (its section 4.3). A subaperture with one segment is not masked.
+/// With two segments it is masked unless one of them has at least `dominant_fraction` of its light.
+/// With three it is masked for any size of the third, whose corner makes two steps. A segment
+/// counts if it owns an illuminated sample, so slivers that own none are missed; for Keck the
+/// number of masked subapertures is the same from 12 to 48 samples across a lenslet.
 ///
 /// # Errors
-/// [`Error::Shape`] if the pupil's samples are not a multiple of the lenslets, [`Error::Value`] for a fraction outside
-/// [0, 1] or subapertures that are out of range or not ascending.
+/// [`Error::Shape`] if the pupil's samples are not a multiple of the lenslets, [`Error::Value`] for
+/// a fraction outside [0, 1] or subapertures that are out of range or not ascending.
 pub fn segment_mask(
     pupil: &Pupil,
     lenslets_across: usize,
@@ -71,8 +72,8 @@ mod tests {
                 let mask = segment_mask(&pupil, 20, &subapertures, fraction).unwrap();
                 mask.iter().filter(|&&masked| masked).count()
             };
-            // 68 agrees with an independent simulation. The pupil has mirror symmetry in x and in y, and no masked
-            // subaperture straddles an axis, so counts are multiples of 4.
+            // 68 agrees with an independent simulation. The pupil has mirror symmetry in x and in
+            // y, and no masked subaperture straddles an axis, so counts are multiples of 4.
             assert_eq!((count(0.75), count(0.8)), (68, 80));
         }
     }

@@ -6,7 +6,8 @@
 //! sensor, mirror┘             └ Inpainting (M) ───┘             └ Controller  one linear step for each frame
 //! ```
 //!
-//! With c the commands, s the slopes of (turbulence − mirror), g the gain and l the leak, the three laws are
+//! With c the commands, s the slopes of (turbulence − mirror), g the gain and l the leak, the three
+//! laws are
 //!
 //! | `control.loop` | next command |
 //! |---|---|
@@ -14,10 +15,11 @@
 //! | `pseudo-open-loop` | (1 − l − g) c + g R M (s + D c) |
 //! | `full-turbulence-slopes` | (1 − l) c + g R (M (s + D c) − D c) |
 //!
-//! where M is the inpainting of masked slopes, the identity unless `fill = "inpaint"`. The second law is B.
-//! Ellerbroek's (2003), the third the cheaper variant that the paper suggests; with M = 1 the third equals the first.
-//! All laws are one linear step: a dense matrix, with `control.optical_gains` the same by modes, or with `control.reconstructor = "sparse"` a banded solution of the normal equations
-//! of a local interaction matrix.
+//! where M is the inpainting of masked slopes, the identity unless `fill = "inpaint"`. The second
+//! law is B. Ellerbroek's (2003), the third the cheaper variant that the paper suggests; with M = 1
+//! the third equals the first. All laws are one linear step: a dense matrix, with
+//! `control.optical_gains` the same by modes, or with `control.reconstructor = "sparse"` a banded
+//! solution of the normal equations of a local interaction matrix.
 
 mod band;
 mod controller;

@@ -1,20 +1,25 @@
 //! Optical gains of the controlled modes, measured in the running loop by dithering.
 //!
-//! A pyramid that looks at a residual wavefront responds less to a mode than at its calibration: its slopes are those of g times the mode.
-//! The mirror therefore carries a sine of a few modes, each at a frequency of its own above the loop's bandwidth. In every window of frames
-//! the amplitudes of these sines in the slopes, Q, and in the commands, C, give g = −Re(Q C*)/|C|², independently of the response of the loop
-//! (Esposito et al. 2020, A&A 636, A88, section 2). Between these modes, which are in the order of their singular values, the gains are
-//! interpolated; the controller divides each mode by its own (modal compensation: Deo et al. 2019, A&A 629, A107).
+//! A pyramid that looks at a residual wavefront responds less to a mode than at its calibration:
+//! its slopes are those of g times the mode. The mirror therefore carries a sine of a few modes,
+//! each at a frequency of its own above the loop's bandwidth. In every window of frames the
+//! amplitudes of these sines in the slopes, Q, and in the commands, C, give g = −Re(Q C*)/|C|²,
+//! independently of the response of the loop (Esposito et al. 2020, A&A 636, A88, section 2).
+//! Between these modes, which are in the order of their singular values, the gains are
+//! interpolated; the controller divides each mode by its own (modal compensation: Deo et al. 2019,
+//! A&A 629, A107).
 
 use super::reconstructor::Reconstructor;
 use ndarray::Array2;
 use std::f64::consts::TAU;
 
-/// Frames of a window: a second of a loop at 1 kHz, over which seeing is steady, and a bin of 1 Hz for the turbulence to leak into.
+/// Frames of a window: a second of a loop at 1 kHz, over which seeing is steady, and a bin of 1 Hz
+/// for the turbulence to leak into.
 const WINDOW: u32 = 1000;
 /// Modes with a sine: gains are smooth, and each sine costs wavefront error.
 const PROBES: usize = 4;
-/// Cycles of the sines in a window: an eighth of the frame rate and above, of differences without common multiples.
+/// Cycles of the sines in a window: an eighth of the frame rate and above, of differences without
+/// common multiples.
 const CYCLES: [u32; PROBES] = [125, 132, 143, 150];
 /// Share of a new measurement in the gains.
 const NEW_SHARE: f64 = 0.3;
@@ -50,8 +55,8 @@ pub(in crate::ao) struct OpticalGains {
 }
 
 impl OpticalGains {
-    /// Dither with an RMS command of `dither_nm` at the sine's peak, of modes that divide those of `reconstructor` into equal parts;
-    /// `interaction` is the matrix that it inverts.
+    /// Dither with an RMS command of `dither_nm` at the sine's peak, of modes that divide those of
+    /// `reconstructor` into equal parts; `interaction` is the matrix that it inverts.
     pub(in crate::ao) fn new(reconstructor: &Reconstructor, interaction: &Array2<f64>, dither_nm: f64) -> Self {
         let controlled = reconstructor.controlled();
         let probe = |number: usize| {
@@ -90,7 +95,8 @@ impl OpticalGains {
         }
     }
 
-    /// Takes the slopes of this frame, measured with these commands on the mirror; whether a window ended, with new gains.
+    /// Takes the slopes of this frame, measured with these commands on the mirror; whether a window
+    /// ended, with new gains.
     pub(in crate::ao) fn update(&mut self, slopes: &[f32], commands_nm: &[f32]) -> bool {
         for number in 0..self.probes.len() {
             let (sin, cos) = self.phase(&self.probes[number]).sin_cos();
@@ -183,10 +189,12 @@ mod tests {
             f64::sqrt(changes)
         };
         let weak = drive(&mut gains, WINDOW);
-        // Windows hold whole periods; what is not a sine is the transient of the first ten frames of a thousand.
+        // Windows hold whole periods; what is not a sine is the transient of the first ten frames
+        // of a thousand.
         assert!(gains.gains().iter().all(|gain| (gain - 0.6).abs() < 0.01), "{:?}", gains.gains());
-        // An integrator of the gain k follows a sine of the angular frequency w per frame with the changes k·D/|exp(iw) − 1 + k|,
-        // D = |exp(iw) − 1|: with w from 2π/8 to 2π·0.15 those of k = 0.3 are 1.69 to 1.72 times those of 0.6·0.3.
+        // An integrator of the gain k follows a sine of the angular frequency w per frame with the
+        // changes k·D/|exp(iw) − 1 + k|, D = |exp(iw) − 1|: with w from 2π/8 to 2π·0.15 those of k
+        // = 0.3 are 1.69 to 1.72 times those of 0.6·0.3.
         let restored = drive(&mut gains, WINDOW);
         assert!((restored / weak - 1.7).abs() < 0.06, "{restored} {weak}");
     }

@@ -5,26 +5,28 @@ use ndarray::Array2;
 
 /// Model of sensor and mirror for the control.
 ///
-/// Slopes are `[x of every subaperture, then y of every subaperture]`. Commands are nm of wavefront, one for each
-/// actuator. The mirror's surface is **subtracted** from the wavefront: the sensor measures the slopes of (turbulence −
-/// mirror).
+/// Slopes are `[x of every subaperture, then y of every subaperture]`. Commands are nm of
+/// wavefront, one for each actuator. The mirror's surface is **subtracted** from the wavefront: the
+/// sensor measures the slopes of (turbulence − mirror).
 #[derive(Debug, Clone, Copy)]
 pub struct Plant<'a> {
-    /// Interaction matrix D, `[2·subapertures, actuators]`: slopes of a wavefront with the shape of each actuator's
-    /// influence function, per nm.
+    /// Interaction matrix D, `[2·subapertures, actuators]`: slopes of a wavefront with the shape of
+    /// each actuator's influence function, per nm.
     pub interaction: &'a Array2<f64>,
     /// Lenslets along a side of the map of lenslets.
     pub lenslets_across: usize,
     /// Flat index `row·lenslets_across + column` of each subaperture in use, ascending.
     pub subapertures: &'a [usize],
-    /// Masked subapertures, `true` = masked; `control.fill` of the scene determines how they are treated.
+    /// Masked subapertures, `true` = masked; `control.fill` of the scene determines how they are
+    /// treated.
     pub mask: &'a [bool],
-    /// Commands of the mirror's Karhunen-Loève modes, `[actuators, modes]`, strongest first; for `basis = "kl"`.
+    /// Commands of the mirror's Karhunen-Loève modes, `[actuators, modes]`, strongest first; for
+    /// `basis = "kl"`.
     pub kl: Option<&'a Array2<f64>>,
     /// Command matrix, `[actuators, 2·subapertures]`, nm per slope, in place of an inverse of D.
     pub command_matrix: Option<&'a Array2<f64>>,
-    /// Actuators along a side of the mirror's square, and the flat index `row·across + column` of each actuator in use, ascending; for
-    /// `reconstructor = "sparse"`.
+    /// Actuators along a side of the mirror's square, and the flat index `row·across + column` of
+    /// each actuator in use, ascending; for `reconstructor = "sparse"`.
     pub actuator_grid: Option<(usize, &'a [usize])>,
     /// Largest absolute command of an actuator, nm.
     pub stroke_limit_nm: Option<f64>,

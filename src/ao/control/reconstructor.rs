@@ -1,4 +1,5 @@
-//! Reconstructor: truncated least-squares inverse of the interaction matrix, from slopes to commands.
+//! Reconstructor: truncated least-squares inverse of the interaction matrix, from slopes to
+//! commands.
 
 use super::linalg::svd;
 use super::plant::Plant;
@@ -6,8 +7,9 @@ use crate::scene::{ControlBasis, ControlScene, Fill};
 use crate::{Error, Result};
 use ndarray::{Array2, s};
 
-/// Reconstructor as a product, `commands = modes · inverse · slopes`. With D the interaction matrix (without the rows
-/// of masked subapertures if `fill = "mask-interaction-matrix"`), `inverse · D · modes` is the identity.
+/// Reconstructor as a product, `commands = modes · inverse · slopes`. With D the interaction matrix
+/// (without the rows of masked subapertures if `fill = "mask-interaction-matrix"`),
+/// `inverse · D · modes` is the identity.
 #[derive(Debug, Clone)]
 pub struct Reconstructor {
     modes: Array2<f64>,
@@ -19,10 +21,11 @@ pub struct Reconstructor {
 impl Reconstructor {
     /// Computes the truncated inverse of the plant's interaction matrix.
     ///
-    /// `basis = "zonal"`: the singular value decomposition of D without its `filtered_modes` smallest values. `basis =
-    /// "kl"`: the last `filtered_modes` Karhunen-Loève modes are removed, and D times the others is inverted. In both,
-    /// `condition_number` removes singular values below the largest divided by it. Singular values at the level of
-    /// rounding are never inverted.
+    /// `basis = "zonal"`: the singular value decomposition of D without its `filtered_modes`
+    /// smallest values. `basis = "kl"`: the last `filtered_modes` Karhunen-Loève modes are removed,
+    /// and D times the others is inverted. In both, `condition_number` removes singular values
+    /// below the largest divided by it. Singular values at the level of rounding are never
+    /// inverted.
     ///
     /// # Errors
     /// [`Error::Value`] if no mode is left, or the Karhunen-Loève modes are missing.
@@ -96,8 +99,8 @@ impl Reconstructor {
         &self.modes
     }
 
-    /// Matrix from slopes to controlled modes, `[controlled, 2·subapertures]`. The columns of subapertures that are
-    /// masked in the interaction matrix are zero.
+    /// Matrix from slopes to controlled modes, `[controlled, 2·subapertures]`. The columns of
+    /// subapertures that are masked in the interaction matrix are zero.
     pub fn inverse(&self) -> &Array2<f64> {
         &self.inverse
     }
@@ -107,8 +110,8 @@ impl Reconstructor {
         self.modes.dot(&self.inverse)
     }
 
-    /// Singular values of the inverted matrix, descending, slope per nm; the first [`controlled`](Self::controlled) are
-    /// kept. Empty for a command matrix that was given.
+    /// Singular values of the inverted matrix, descending, slope per nm; the first
+    /// [`controlled`](Self::controlled) are kept. Empty for a command matrix that was given.
     pub fn singular_values(&self) -> &[f64] {
         &self.singular_values
     }
@@ -124,8 +127,9 @@ impl Reconstructor {
     }
 }
 
-/// Interaction matrix; for `fill = "mask-interaction-matrix"` with the rows of masked subapertures set to zero. For
-/// least squares this equals removing the rows, and the inverse has zero columns for them.
+/// Interaction matrix; for `fill = "mask-interaction-matrix"` with the rows of masked subapertures
+/// set to zero. For least squares this equals removing the rows, and the inverse has zero columns
+/// for them.
 fn interaction_without_masked(plant: &Plant, fill: Fill) -> Array2<f64> {
     let mut interaction = plant.interaction.clone();
     if fill == Fill::MaskInteractionMatrix {
@@ -152,8 +156,8 @@ mod tests {
         (matrix - &eye).iter().fold(0.0, |worst, value| value.abs().max(worst))
     }
 
-    /// Rounding of products that equal the identity: ε times a condition number of up to 30, times √496 for the sums,
-    /// and a margin of ten.
+    /// Rounding of products that equal the identity: ε times a condition number of up to 30, times
+    /// √496 for the sums, and a margin of ten.
     const IDENTITY: f64 = 2e-12;
 
     #[test]
@@ -161,7 +165,8 @@ mod tests {
         let bench = Bench::keck();
         for (keys, dropped) in [
             ("filtered_modes = 2", 2),
-            // Corner differences do not measure piston and waffle: two singular values are rounding.
+            // Corner differences do not measure piston and waffle: two singular values are
+            // rounding.
             ("filtered_modes = 0", 2),
             ("filtered_modes = 40", 40),
             ("filtered_modes = 2\nfill = \"mask-interaction-matrix\"", 2),

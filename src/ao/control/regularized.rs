@@ -4,11 +4,13 @@
 //!
 //! `‖D c − s‖² + α·(‖C c‖²/64 + δ‖c‖²)`, α = (largest singular value of D / `condition_number`)²,
 //!
-//! where C takes the second differences of the commands between neighbouring actuators along x and along y. It stands for the inverse
-//! covariance of the turbulence (Ellerbroek 2002, JOSA A 19, 1803), and is small for smooth commands and 64 for waffle, which the slopes
-//! hardly measure. D is local (an influence function reaches a few lenslets), so the matrix A of the normal equations is a band over the
-//! actuators row by row. Without the constraint piston would be a random walk, since only its edges are measured; with it the commands are
-//! x − u·Σx/Σu, where x = A⁻¹Dᵀs and u = A⁻¹(1, 1, …).
+//! where C takes the second differences of the commands between neighbouring actuators along x and
+//! along y. It stands for the inverse covariance of the turbulence (Ellerbroek 2002, JOSA A 19,
+//! 1803), and is small for smooth commands and 64 for waffle, which the slopes hardly measure. D is
+//! local (an influence function reaches a few lenslets), so the matrix A of the normal equations is
+//! a band over the actuators row by row. Without the constraint piston would be a random walk,
+//! since only its edges are measured; with it the commands are x − u·Σx/Σu, where x = A⁻¹Dᵀs and u
+//! = A⁻¹(1, 1, …).
 
 use super::band::{BandSolver, SymmetricBand};
 use super::plant::Plant;
@@ -19,15 +21,18 @@ use ndarray::Array2;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// δ: regularisation of piston, of which the second differences are 0, relative to that of waffle. With a condition number of 10 it lowers
-/// the loop's gain on tilt, whose singular value is about 2/(actuators across) of the largest, by less than 1 % up to 200 actuators across.
+/// δ: regularisation of piston, of which the second differences are 0, relative to that of waffle.
+/// With a condition number of 10 it lowers the loop's gain on tilt, whose singular value is about
+/// 2/(actuators across) of the largest, by less than 1 % up to 200 actuators across.
 const PISTON: f64 = 1e-4;
 /// Square of the largest eigenvalue of C: the second differences of waffle are ±4 along each axis.
 const WAFFLE: f64 = 64.0;
-/// Entries of D below this fraction of its largest one are left out: less than the slopes' single precision adds up to over a window.
+/// Entries of D below this fraction of its largest one are left out: less than the slopes' single
+/// precision adds up to over a window.
 const NEGLIGIBLE_RESPONSE: f64 = 1e-5;
-/// Entries of the normal matrix beyond the band are left out if their sum in a row is below this fraction of the regularisation of piston,
-/// the least of all: the matrix stays positive definite, and the regularisation of no mode changes by more.
+/// Entries of the normal matrix beyond the band are left out if their sum in a row is below this
+/// fraction of the regularisation of piston, the least of all: the matrix stays positive definite,
+/// and the regularisation of no mode changes by more.
 const NEGLIGIBLE_COUPLING: f64 = 0.25;
 
 /// Sparse reconstructor of a plant.
@@ -46,7 +51,8 @@ impl SparseReconstructor {
     /// Factorises the normal equations of `plant`.
     ///
     /// # Errors
-    /// [`Error::Value`] for a plant without the places of its actuators, or an interaction matrix of zeros.
+    /// [`Error::Value`] for a plant without the places of its actuators, or an interaction matrix
+    /// of zeros.
     pub(super) fn new(scene: &ControlScene, plant: &Plant) -> Result<Self> {
         let Some((across, places)) = plant.actuator_grid else {
             let sentence = "control.reconstructor = \"sparse\" needs the places of the actuators; none were given";
@@ -80,7 +86,8 @@ impl SparseReconstructor {
         // A mode counts as controlled where its response exceeds its regularisation.
         let mut excess = sum(-1.0);
         excess.factorise();
-        // Without piston there is one less, unless 1ᵀE⁻¹1 is negative (the inertia of a bordered matrix).
+        // Without piston there is one less, unless 1ᵀE⁻¹1 is negative (the inertia of a bordered
+        // matrix).
         let positive = excess.diagonal().filter(|pivot| *pivot > 0.0).count();
         let ones = vec![1.0; actuators];
         let is_piston_negative = excess.solution(&ones).iter().sum::<f64>() < 0.0;
@@ -104,12 +111,14 @@ impl SparseReconstructor {
         })
     }
 
-    /// Number of modes whose response exceeds their regularisation: the loop has at least half of its gain on them.
+    /// Number of modes whose response exceeds their regularisation: the loop has at least half of
+    /// its gain on them.
     pub fn controlled(&self) -> usize {
         self.controlled
     }
 
-    /// Command matrix, `[actuators, 2·subapertures]`, nm per slope: the commands of one slope after the other.
+    /// Command matrix, `[actuators, 2·subapertures]`, nm per slope: the commands of one slope after
+    /// the other.
     pub fn command_matrix(&self) -> Array2<f64> {
         let columns: Vec<Vec<f32>> = (0..self.slopes)
             .into_par_iter()
@@ -152,8 +161,8 @@ fn narrowest(band: &SymmetricBand, least: f64) -> usize {
     high
 }
 
-/// Rows of the interaction matrix without its negligible entries; those of masked subapertures are empty for
-/// `fill = "mask-interaction-matrix"`.
+/// Rows of the interaction matrix without its negligible entries; those of masked subapertures are
+/// empty for `fill = "mask-interaction-matrix"`.
 fn local_rows(plant: &Plant, fill: Fill) -> Vec<SlopeRow> {
     let largest = plant.interaction.iter().fold(0.0f64, |largest, value| largest.max(value.abs()));
     let is_masked = |slope: usize| fill == Fill::MaskInteractionMatrix && plant.mask[slope % plant.mask.len()];
@@ -167,8 +176,8 @@ fn local_rows(plant: &Plant, fill: Fill) -> Vec<SlopeRow> {
     plant.interaction.rows().into_iter().enumerate().map(row).collect()
 }
 
-/// Second differences of the commands, along x and then along y, of every actuator whose two neighbours are in use; added for one that
-/// has both.
+/// Second differences of the commands, along x and then along y, of every actuator whose two
+/// neighbours are in use; added for one that has both.
 fn second_differences(across: usize, places: &[usize]) -> Vec<SlopeRow> {
     let mut number = vec![None; across * across];
     places.iter().enumerate().for_each(|(i, &place)| number[place] = Some(i as u32));
@@ -229,7 +238,8 @@ pub(super) struct SparseWorkspace {
 
 impl SparseStep {
     pub(super) fn new(scene: &ControlScene, reconstructor: Arc<SparseReconstructor>) -> Self {
-        // Without a fill the mirror's slopes of "full-turbulence-slopes" are added and subtracted unchanged, and cancel.
+        // Without a fill the mirror's slopes of "full-turbulence-slopes" are added and subtracted
+        // unchanged, and cancel.
         Self { reconstructor, gain: scene.gain as f32, is_open: scene.r#loop == Loop::PseudoOpenLoop }
     }
 
@@ -302,8 +312,9 @@ mod tests {
             let size = |matrix: &Array2<f64>| matrix.iter().map(|value| value * value).sum::<f64>().sqrt();
             let error = size(&(&found - &known)) / size(&known);
             println!("{error:.1e}");
-            // What is left out of the band changes the few modes that have hardly more than piston's regularisation by up to a quarter
-            // of it, and the power method that of all modes by 1 %: a hundredth or two of the norm, which these modes dominate.
+            // What is left out of the band changes the few modes that have hardly more than
+            // piston's regularisation by up to a quarter of it, and the power method that of all
+            // modes by 1 %: a hundredth or two of the norm, which these modes dominate.
             assert!(error < 0.03, "{condition}: {error:.1e}");
         }
     }
@@ -320,14 +331,16 @@ mod tests {
                 .collect::<Array1<f64>>()
         };
         let gain = |commands: &Array1<f64>| response.dot(commands).dot(commands) / commands.dot(commands);
-        // PISTON's comment allows 1 %; a wave of eight actuators has 0.6 % of waffle's regularisation.
+        // PISTON's comment allows 1 %; a wave of eight actuators has 0.6 % of waffle's
+        // regularisation.
         for (smooth, least) in
             [(shape(&|x, _| x), 0.99), (shape(&|x, y| x * y), 0.99), (shape(&|x, _| (0.8 * x).sin()), 0.99)]
         {
             let gain = gain(&smooth);
             assert!(gain > least && gain < 1.001, "{gain}");
         }
-        // The slopes between corners measure waffle at the border of the pupil only: it is not one of the controlled modes.
+        // The slopes between corners measure waffle at the border of the pupil only: it is not one
+        // of the controlled modes.
         let waffle = gain(&shape(&|x, y| if (x + y) as i32 % 2 == 0 { 1.0 } else { -1.0 }));
         println!("{waffle:.3}");
         assert!((0.0..0.5).contains(&waffle), "{waffle}");
@@ -335,7 +348,8 @@ mod tests {
 
     #[test]
     fn laws_with_a_sparse_reconstructor_agree_and_are_stable() {
-        // c + gR(s − Dc) and (1 − g)c + gR(s − Dc + Dc) have the same fixed point up to the modes that are regularised.
+        // c + gR(s − Dc) and (1 − g)c + gR(s − Dc + Dc) have the same fixed point up to the modes
+        // that are regularised.
         let bench = Bench::keck();
         let turbulence: Array1<f64> = {
             let commands: Array1<f64> =
@@ -360,7 +374,8 @@ mod tests {
             rms
         });
         println!("{residuals:?}");
-        // 0.7^60 = 5e-10 of a mode with all of the gain is left; what the regularisation holds back is below 1 %.
+        // 0.7^60 = 5e-10 of a mode with all of the gain is left; what the regularisation holds back
+        // is below 1 %.
         assert!(residuals.iter().all(|rms| *rms < 0.01), "{residuals:?}");
         assert_eq!(residuals[0].to_bits(), residuals[2].to_bits());
     }

@@ -9,22 +9,25 @@ use ndarray::Array2;
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
-/// Growth per frame below which a mode counts as neutral, and size below which an eigenvalue counts as zero. At this
-/// rate an e-folding takes 10⁹ frames, eleven days at 1 kHz. The rounding of the eigenvalues, ε = 2e-16 times the sizes
-/// of the inverse and of the interaction matrix (a condition number of up to about 1e4), is three digits below.
+/// Growth per frame below which a mode counts as neutral, and size below which an eigenvalue counts
+/// as zero. At this rate an e-folding takes 10⁹ frames, eleven days at 1 kHz. The rounding of the
+/// eigenvalues, ε = 2e-16 times the sizes of the inverse and of the interaction matrix (a condition
+/// number of up to about 1e4), is three digits below.
 const NEUTRAL: f64 = 1e-9;
 
-/// Poles of the closed loop without turbulence, noise and clipping, for a sensor and a mirror that the interaction
-/// matrix describes exactly.
+/// Poles of the closed loop without turbulence, noise and clipping, for a sensor and a mirror that
+/// the interaction matrix describes exactly.
 ///
-/// The commands then follow `c[k+L] = a c[k+L−1] − g K c[k]`, with K = RMD for `loop = "closed"`, RD for
-/// `"full-turbulence-slopes"` (the mirror's own slopes are subtracted unfilled), and 0 for `"pseudo-open-loop"`, whose
-/// slopes do not depend on the mirror; a is the fraction of a command that is kept. Each eigenvalue μ of K contributes
-/// the roots of λᴸ − a λᴸ⁻¹ + g μ = 0; with a fraction of a frame, for which the mirror has the mixture `(1 − f) c[k] + f c[k+1]`, those of
-/// λᴸ − a λᴸ⁻¹ + g μ (1 − f + f λ) = 0.
+/// The commands then follow `c[k+L] = a c[k+L−1] − g K c[k]`, with K = RMD for `loop = "closed"`,
+/// RD for `"full-turbulence-slopes"` (the mirror's own slopes are subtracted unfilled), and 0 for
+/// `"pseudo-open-loop"`, whose slopes do not depend on the mirror; a is the fraction of a command
+/// that is kept. Each eigenvalue μ of K contributes the roots of λᴸ − a λᴸ⁻¹ + g μ = 0; with a
+/// fraction of a frame, for which the mirror has the mixture `(1 − f) c[k] + f c[k+1]`, those of λᴸ
+/// − a λᴸ⁻¹ + g μ (1 − f + f λ) = 0.
 ///
-/// K is evaluated within the controlled modes, the range of R. Uncontrolled modes have μ = 0 by construction: their
-/// commands stay constant (or leak to 0). They are counted, and are neither stable nor unstable.
+/// K is evaluated within the controlled modes, the range of R. Uncontrolled modes have μ = 0 by
+/// construction: their commands stay constant (or leak to 0). They are counted, and are neither
+/// stable nor unstable.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Stability {
     /// Largest |λ| of the controlled modes: growth factor per frame of the fastest growing mode.
@@ -39,8 +42,9 @@ pub struct Stability {
     pub controlled: usize,
     /// Number of uncontrolled modes of the commands.
     pub uncontrolled: usize,
-    /// Number of controlled modes that the fill hides from the loop (μ = 0: all of their slopes are masked, and the
-    /// inpainted ones are 0). They neither grow nor are corrected; noise makes them a random walk.
+    /// Number of controlled modes that the fill hides from the loop (μ = 0: all of their slopes are
+    /// masked, and the inpainted ones are 0). They neither grow nor are corrected; noise makes them
+    /// a random walk.
     pub hidden: usize,
     /// Every λ of the controlled modes; a pole that all modes share by construction is listed once.
     pub poles: Vec<Complex64>,
@@ -82,9 +86,10 @@ impl Stability {
         Ok(Self::from_poles(scene, poles, largest_stable_gain, modes))
     }
 
-    /// Stability of a loop whose reconstructor R is the regularised least-squares inverse of D: the eigenvalues of RD are real and from 0
-    /// to 1. The `controlled` ones are those from 1/2 on; both ends of their range are listed, and the poles of the others lie between
-    /// them and those of a command that is kept.
+    /// Stability of a loop whose reconstructor R is the regularised least-squares inverse of D: the
+    /// eigenvalues of RD are real and from 0 to 1. The `controlled` ones are those from 1/2 on;
+    /// both ends of their range are listed, and the poles of the others lie between them and those
+    /// of a command that is kept.
     ///
     /// # Errors
     /// Internal errors of the eigenvalues only.
@@ -103,7 +108,8 @@ impl Stability {
         Ok(Self::from_poles(scene, poles, largest, modes))
     }
 
-    /// Stability from the poles; `modes` are the numbers of controlled, uncontrolled and hidden ones.
+    /// Stability from the poles; `modes` are the numbers of controlled, uncontrolled and hidden
+    /// ones.
     fn from_poles(scene: &ControlScene, poles: Vec<Complex64>, largest_stable_gain: f64, modes: [usize; 3]) -> Self {
         let [controlled, uncontrolled, hidden] = modes;
         let growth_per_frame = poles.iter().map(|pole| pole.norm()).fold(0.0, f64::max);
@@ -141,12 +147,14 @@ fn mode_poles(mu: Complex64, kept: f64, gain: f64, lag: LoopLag) -> Result<Vec<C
     roots(&coefficients)
 }
 
-/// Largest gain g for which the roots of λᴸ − kept·λᴸ⁻¹ + g μ (0 < kept ≤ 1) stay within the unit circle.
+/// Largest gain g for which the roots of λᴸ − kept·λᴸ⁻¹ + g μ (0 < kept ≤ 1) stay within the unit
+/// circle.
 ///
-/// A root crosses the circle at λ = e^{iθ} if g μ = −e^{i(L−1)θ}(e^{iθ} − kept). The phase of the right side increases
-/// monotonically with θ in (0, 2π), so each of the at most L+1 crossings is found by bisection, and the moduli give its
-/// gain. With kept = 1 a root starts on the circle, at λ = 1, and leaves it as 1 − gμ: outwards unless μ's real part is
-/// positive. A fraction of a frame makes the phase of the right side, over 1 − f + f·e^{iθ}, turn back: [`mixed_crossing`].
+/// A root crosses the circle at λ = e^{iθ} if g μ = −e^{i(L−1)θ}(e^{iθ} − kept). The phase of the
+/// right side increases monotonically with θ in (0, 2π), so each of the at most L+1 crossings is
+/// found by bisection, and the moduli give its gain. With kept = 1 a root starts on the circle, at
+/// λ = 1, and leaves it as 1 − gμ: outwards unless μ's real part is positive. A fraction of a frame
+/// makes the phase of the right side, over 1 − f + f·e^{iθ}, turn back: [`mixed_crossing`].
 fn stable_gain(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
     if mu.norm() <= NEUTRAL {
         return f64::INFINITY;
@@ -165,8 +173,8 @@ fn stable_gain(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
     let mut smallest = f64::INFINITY;
     for turns in 0..=lag + 1 {
         let wanted = mu.arg() + TAU * turns as f64;
-        // At θ = 0 the phase of e^{iθ} − 1 is none; from there on it is π/2. 60 halvings take the angle to the last
-        // bit.
+        // At θ = 0 the phase of e^{iθ} − 1 is none; from there on it is π/2. 60 halvings take the
+        // angle to the last bit.
         let (mut low, mut high) = (if kept < 1.0 { 0.0 } else { 1e-12 }, TAU - 1e-12);
         if wanted < phase(low) || wanted > phase(high) {
             continue;
@@ -180,12 +188,14 @@ fn stable_gain(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
     smallest
 }
 
-/// Points on the unit circle, for each frame of the lag, between which sign changes are looked for. The function has at most 2L of them;
-/// a pair of crossings between neighbouring points, about half a degree apart, is missed: between its gains a mode grows very slowly.
+/// Points on the unit circle, for each frame of the lag, between which sign changes are looked for.
+/// The function has at most 2L of them; a pair of crossings between neighbouring points, about half
+/// a degree apart, is missed: between its gains a mode grows very slowly.
 const POINTS_PER_FRAME: usize = 720;
 
-/// Least gain g > 0 for which a root of λᴸ − kept·λᴸ⁻¹ + g μ (1 − f + f·λ) is on the unit circle: a sign change along it of the imaginary part of
-/// P·Q*, P = −λᴸ⁻¹(λ − kept) and Q = μ(1 − f + f·λ), where g = P/Q is real.
+/// Least gain g > 0 for which a root of λᴸ − kept·λᴸ⁻¹ + g μ (1 − f + f·λ) is on the unit circle: a
+/// sign change along it of the imaginary part of P·Q*, P = −λᴸ⁻¹(λ − kept) and Q = μ(1 − f + f·λ),
+/// where g = P/Q is real.
 fn mixed_crossing(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
     let (points, newer) = (POINTS_PER_FRAME * lag.frames, lag.newer);
     let parts = |theta: f64| {
@@ -197,7 +207,8 @@ fn mixed_crossing(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
         let (p, q) = parts(theta);
         (p * q.conj()).im
     };
-    // Between the points θ = 0, where real μ have a crossing; with kept = 1 it is that of no gain, and is left out.
+    // Between the points θ = 0, where real μ have a crossing; with kept = 1 it is that of no gain,
+    // and is left out.
     let ends = if kept < 1.0 { [-0.5 * TAU / points as f64; 2] } else { [1e-9, -1e-9] };
     let angle = |i: usize| ends[0] + (TAU + ends[1] - ends[0]) * i as f64 / points as f64;
     let mut smallest = f64::INFINITY;

@@ -1,18 +1,19 @@
 //! Product of a dense matrix and a vector in single precision, once per frame.
 //!
-//! The matrix has about a megabyte, the vector a few kilobytes, so the speed is limited by reading the matrix from the
-//! cache. The matrix is therefore stored in the order in which it is read: panels of [`PANEL`] vectors of rows, and in
-//! a panel one column after the other. The sums of a panel stay in registers, and each column adds its multiple.
+//! The matrix has about a megabyte, the vector a few kilobytes, so the speed is limited by reading
+//! the matrix from the cache. The matrix is therefore stored in the order in which it is read:
+//! panels of [`PANEL`] vectors of rows, and in a panel one column after the other. The sums of a
+//! panel stay in registers, and each column adds its multiple.
 //!
-//! Every sum adds its columns in order, by fused multiply-adds, so the result does not depend on the length of the
-//! processor's vectors.
+//! Every sum adds its columns in order, by fused multiply-adds, so the result does not depend on
+//! the length of the processor's vectors.
 
 use crate::ao::footprint::LANES;
 use ndarray::Array2;
 use pulp::NullaryFnOnce;
 
-/// Vectors of rows that are summed together: enough to hide the latency of the additions, few enough for the registers
-/// of processors with vectors of half the length.
+/// Vectors of rows that are summed together: enough to hide the latency of the additions, few
+/// enough for the registers of processors with vectors of half the length.
 const PANEL: usize = 4;
 
 /// Rows of a panel.
@@ -86,13 +87,14 @@ struct Product<'a> {
     output: &'a mut [f32],
 }
 
-// A named type with an inlined body is compiled for the widest vectors of the processor; a closure would be compiled
-// for the baseline processor.
+// A named type with an inlined body is compiled for the widest vectors of the processor; a closure
+// would be compiled for the baseline processor.
 impl NullaryFnOnce for Product<'_> {
     type Output = ();
 
-    // The form of the loops matters: constant counts, and sums in a local array that are loaded and stored explicitly.
-    // With zipped iterators the compiler keeps the sums in memory, which takes twenty times as long.
+    // The form of the loops matters: constant counts, and sums in a local array that are loaded and
+    // stored explicitly. With zipped iterators the compiler keeps the sums in memory, which takes
+    // twenty times as long.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)]
     fn call(self) {

@@ -1,4 +1,5 @@
-//! Linear map of a frame, from slopes and commands to the change of the commands: a dense matrix, or a sparse reconstructor.
+//! Linear map of a frame, from slopes and commands to the change of the commands: a dense matrix,
+//! or a sparse reconstructor.
 
 use super::modal_step::{ModalStep, ModalWorkspace};
 use super::regularized::{SparseStep, SparseWorkspace};
@@ -8,7 +9,8 @@ use super::step::StepMatrix;
 /// Map of a control law.
 #[derive(Debug)]
 pub(super) enum StepMap {
-    /// `[B]`, or `[B A]` if the law uses the command that was on the mirror while the slopes were measured.
+    /// `[B]`, or `[B A]` if the law uses the command that was on the mirror while the slopes were
+    /// measured.
     Dense(StepMatrix),
     /// `B` by modes, with the optical gain of each.
     Modal(ModalStep),
@@ -33,7 +35,8 @@ impl StepMap {
         }
     }
 
-    /// Change of the commands by `slopes`, which were measured with `commands` on the mirror. `workspace` is one of this map.
+    /// Change of the commands by `slopes`, which were measured with `commands` on the mirror.
+    /// `workspace` is one of this map.
     pub(super) fn apply<'a>(&self, slopes: &[f32], commands: &[f32], workspace: &'a mut StepMapWorkspace) -> &'a [f32] {
         match (self, workspace) {
             (Self::Dense(matrix), StepMapWorkspace::Dense(workspace)) => matrix.apply(&[slopes, commands], workspace),

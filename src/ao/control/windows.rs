@@ -8,8 +8,8 @@
 //! . └───────┘ . .
 //! ```
 //!
-//! Slopes are spread over the map, so that a window is a few contiguous rows; lenslets that are not in use hold 0. Sums have an order
-//! that does not depend on the length of the processor's vectors.
+//! Slopes are spread over the map, so that a window is a few contiguous rows; lenslets that are not
+//! in use hold 0. Sums have an order that does not depend on the length of the processor's vectors.
 
 use crate::ao::aligned::AlignedBuffer;
 use pulp::{Arch, NullaryFnOnce};
@@ -36,7 +36,8 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// Windows of the matrix with `rows`, x and then y of `subapertures`, flat indices on a map of `across` lenslets a side.
+    /// Windows of the matrix with `rows`, x and then y of `subapertures`, flat indices on a map of
+    /// `across` lenslets a side.
     pub(super) fn new(across: usize, subapertures: &[usize], rows: &[SlopeRow], actuators: usize) -> Self {
         let count = subapertures.len();
         let place = |slope: usize| (subapertures[slope % count] / across, subapertures[slope % count] % across);
@@ -114,7 +115,8 @@ struct Project<'a> {
 impl NullaryFnOnce for Project<'_> {
     type Output = ();
 
-    // As in `step`, sums are loaded and stored explicitly, so that the compiler keeps them in registers.
+    // As in `step`, sums are loaded and stored explicitly, so that the compiler keeps them in
+    // registers.
     #[inline(always)]
     fn call(self) {
         let Self { windows, map, out } = self;
@@ -181,7 +183,8 @@ mod tests {
 
     #[test]
     fn windows_hold_the_matrix() {
-        // 5×5 lenslets without a corner and the middle, seven actuators with two to five lenslets each; one moves none.
+        // 5×5 lenslets without a corner and the middle, seven actuators with two to five lenslets
+        // each; one moves none.
         let subapertures: Vec<usize> = (0..25).filter(|place| ![4, 12].contains(place)).collect();
         let (count, actuators) = (subapertures.len(), 7);
         let value = |slope: usize, actuator: usize| ((slope * 13 + actuator * 5) as f64).sin();

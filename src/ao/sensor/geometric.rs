@@ -1,5 +1,5 @@
-//! Geometric sensor: mean slopes of the wavefront over the illuminated area of each lenslet, without diffraction or
-//! noise.
+//! Geometric sensor: mean slopes of the wavefront over the illuminated area of each lenslet,
+//! without diffraction or noise.
 
 use super::lenslets::{Lenslets, MAS_PER_NM_M};
 use crate::ao::footprint::Footprint;
@@ -24,7 +24,8 @@ impl Geometric {
         }
     }
 
-    /// Mean differences between neighbouring samples, weighted by the smaller of their two amplitudes.
+    /// Mean differences between neighbouring samples, weighted by the smaller of their two
+    /// amplitudes.
     pub(super) fn raw_slopes(&self, opd_nm: &[f32], slopes: &mut [f32]) {
         let (n, across, stride) = (self.lenslets.samples, self.lenslets.across, self.stride);
         let count = self.lenslets.subapertures.len();

@@ -25,12 +25,12 @@ pub struct Lenslets {
 }
 
 impl Lenslets {
-    /// Lenslets of `scene` over `pupil`, whose grid has `samples_per_lenslet` samples for each. Files are relative to
-    /// `directory`.
+    /// Lenslets of `scene` over `pupil`, whose grid has `samples_per_lenslet` samples for each.
+    /// Files are relative to `directory`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a grid with other samples, [`Error::Value`] if no subaperture has enough light,
-    /// [`Error::File`] for a map that cannot be read.
+    /// [`Error::Shape`] for a grid with other samples, [`Error::Value`] if no subaperture has
+    /// enough light, [`Error::File`] for a map that cannot be read.
     pub fn new(scene: &SensorScene, pupil: &Pupil, directory: &Path) -> Result<Self> {
         let (across, samples) = (scene.lenslets_across, scene.samples_per_lenslet);
         if pupil.grid.samples() != across * samples {

@@ -4,7 +4,8 @@ use crate::scene::SensorScene;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Binomial, Distribution, Poisson, StandardNormal};
 
-/// Mean electrons above which photon noise is drawn from a normal distribution: its skewness is then below 0.1.
+/// Mean electrons above which photon noise is drawn from a normal distribution: its skewness is
+/// then below 0.1.
 const MANY: f64 = 100.0;
 
 /// Signal and noise of the guide star.
@@ -51,11 +52,12 @@ impl GuideStar {
         if read_variance_e2 > 0.0 { photons + self.read_noise_e * self.normal() } else { photons }
     }
 
-    /// Draws the differences between the halves of a quad cell over their sum, along x and y, for the `expected` ratios
-    /// and mean `electrons`; 0 if the sum is within its noise.
+    /// Draws the differences between the halves of a quad cell over their sum, along x and y, for
+    /// the `expected` ratios and mean `electrons`; 0 if the sum is within its noise.
     ///
-    /// Four independent pixels give each difference the variance of the sum. The correlation between the two
-    /// differences (the spot's quadrupole) is left out: it is 0 for a spot on the axis.
+    /// Four independent pixels give each difference the variance of the sum. The correlation
+    /// between the two differences (the spot's quadrupole) is left out: it is 0 for a spot on the
+    /// axis.
     pub(super) fn quad_cell(&mut self, expected: [f64; 2], electrons: f64) -> [f64; 2] {
         let read_e = 2.0 * self.read_noise_e;
         let (sum, differences) = if !self.photon_noise || electrons > MANY {

@@ -1,4 +1,5 @@
-//! Misregistration: shift, rotation and magnification of the lenslets relative to the pupil since the calibration.
+//! Misregistration: shift, rotation and magnification of the lenslets relative to the pupil since
+//! the calibration.
 
 use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::Footprint;
@@ -9,17 +10,19 @@ use ndarray::Array2;
 /// Interpolation from the wavefront's samples to those of the moved lenslets.
 #[derive(Clone)]
 pub(super) struct Misregistration {
-    /// For each illuminated sample of the lenslets: its index, and the indices and weights of the samples around it.
+    /// For each illuminated sample of the lenslets: its index, and the indices and weights of the
+    /// samples around it.
     taps: Vec<(u32, [u32; 4], [f32; 4])>,
     map_nm: AlignedBuffer,
 }
 
 impl Misregistration {
-    /// That of `scene` over `pupil`, with the pupil in the lenslets' coordinates; `None` for lenslets where they were calibrated. A lenslet
-    /// at p, about the axis, sees what is at m·R·p + s of the pupil, with the magnification m, the rotation R and the shift s.
+    /// That of `scene` over `pupil`, with the pupil in the lenslets' coordinates; `None` for
+    /// lenslets where they were calibrated. A lenslet at p, about the axis, sees what is at m·R·p +
+    /// s of the pupil, with the magnification m, the rotation R and the shift s.
     ///
-    /// Amplitudes are interpolated bilinearly; phases too, with the weight of their amplitude. Within one sample of a
-    /// segment's edge the result is the mean of the two pistons.
+    /// Amplitudes are interpolated bilinearly; phases too, with the weight of their amplitude.
+    /// Within one sample of a segment's edge the result is the mean of the two pistons.
     pub(super) fn new(scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Option<(Self, Pupil)> {
         let samples = scene.samples_per_lenslet as f64;
         let shift = [0, 1].map(|axis| samples * scene.shift_subapertures.get(axis).copied().unwrap_or(0.0));

@@ -1,8 +1,10 @@
-//! Wavefront sensor: lenslets, spots, detector and slopes of a Shack-Hartmann sensor, or a pyramid and its images of the pupil.
+//! Wavefront sensor: lenslets, spots, detector and slopes of a Shack-Hartmann sensor, or a pyramid
+//! and its images of the pupil.
 //!
-//! A slope is the tilt of the wavefront over a subaperture as an angle on the sky, mas: positive along x where the
-//! wavefront grows along +x. Slopes are `[all x, all y]` over the subapertures in use, ascending. Subapertures of a pyramid are the
-//! pixels of an image of the pupil; a slope is the tilt of the whole wavefront that has the pixel's signal on average.
+//! A slope is the tilt of the wavefront over a subaperture as an angle on the sky, mas: positive
+//! along x where the wavefront grows along +x. Slopes are `[all x, all y]` over the subapertures in
+//! use, ascending. Subapertures of a pyramid are the pixels of an image of the pupil; a slope is
+//! the tilt of the whole wavefront that has the pixel's signal on average.
 
 mod geometric;
 mod lenslets;
@@ -33,8 +35,8 @@ use pixels::SensorPixels;
 use pyramid::Pyramid;
 use quad_cell::QuadCell;
 
-/// Tilt that calibrates the slopes, mas: a thousandth of a spot's width, so that the response is linear, and 1e4 times
-/// the resolution of single precision.
+/// Tilt that calibrates the slopes, mas: a thousandth of a spot's width, so that the response is
+/// linear, and 1e4 times the resolution of single precision.
 const CALIBRATION_MAS: f64 = 1.0;
 
 /// Detector behind the lenslets or the pyramid.
@@ -68,8 +70,8 @@ impl Detector {
         }
     }
 
-    /// Response to a tilt from its slopes along x and those of a flat wavefront, subapertures with this `light`: that of the brightest
-    /// lenslet; the mean of a pyramid, whose pixels differ.
+    /// Response to a tilt from its slopes along x and those of a flat wavefront, subapertures with
+    /// this `light`: that of the brightest lenslet; the mean of a pyramid, whose pixels differ.
     fn response(&self, tilted: &[f32], flat: &[f32], light: &[f64]) -> f32 {
         let difference = |i: usize| tilted[i] - flat[i];
         match self {
@@ -100,8 +102,8 @@ pub struct Sensor {
 impl Sensor {
     /// Builds and calibrates the sensor of `scene` over a pupil on the simulator's grid.
     ///
-    /// The scale of the slopes is the response of the brightest lenslet, or the mean one of a pyramid's pixels, to a small tilt; their zero
-    /// is a flat wavefront.
+    /// The scale of the slopes is the response of the brightest lenslet, or the mean one of a
+    /// pyramid's pixels, to a small tilt; their zero is a flat wavefront.
     ///
     /// # Errors
     /// [`Error::Value`] for a sensor that does not respond to a tilt.
@@ -126,8 +128,8 @@ impl Sensor {
         Ok(sensor)
     }
 
-    /// This sensor with the changes since its calibration: the scene's misregistration of the lenslets and gain of the slopes.
-    /// `pupil` and `footprint` are those of [`Sensor::new`].
+    /// This sensor with the changes since its calibration: the scene's misregistration of the
+    /// lenslets and gain of the slopes. `pupil` and `footprint` are those of [`Sensor::new`].
     ///
     /// # Errors
     /// [`Error::Value`] for a misregistration that leaves a subaperture in use without light.
@@ -172,7 +174,8 @@ impl Sensor {
         self.reference.len()
     }
 
-    /// Measures the slopes `[all x, all y]`, mas, of `opd_nm`, a map over the footprint; noise-free without `light`.
+    /// Measures the slopes `[all x, all y]`, mas, of `opd_nm`, a map over the footprint; noise-free
+    /// without `light`.
     ///
     /// # Errors
     /// [`Error::Shape`] if either has a wrong length.

@@ -1,8 +1,9 @@
 //! Diffractive detector with pixels: spots on n×n pixels, centres of gravity.
 //!
-//! A lenslet of n samples, padded to 2n, forms a spot on 2n×2n points λ/2d apart. Its axis lies between the points,
-//! like the quad cell's; the points are binned into pixels. The transform is a matrix product, `F = W·E·Wᵀ` with `W_kx
-//! = exp(−2πi·(k + ½ − n)·x/2n)`, for [`LANES`] lenslets at once, one in each lane of a vector.
+//! A lenslet of n samples, padded to 2n, forms a spot on 2n×2n points λ/2d apart. Its axis lies
+//! between the points, like the quad cell's; the points are binned into pixels. The transform is a
+//! matrix product, `F = W·E·Wᵀ` with `W_kx = exp(−2πi·(k + ½ − n)·x/2n)`, for [`LANES`] lenslets at
+//! once, one in each lane of a vector.
 
 use super::lenslets::Lenslets;
 use super::light::GuideStar;
@@ -30,7 +31,8 @@ pub(super) struct SensorPixels {
     /// `W`, `[k][x]`.
     cos: Vec<f32>,
     sin: Vec<f32>,
-    /// Work arrays of one group of lenslets: field `[y][x]`, half transform `[y][k]`, pixels `[v][u]`.
+    /// Work arrays of one group of lenslets: field `[y][x]`, half transform `[y][k]`, pixels
+    /// `[v][u]`.
     field: [Vec<Lane>; 2],
     half: [Vec<Lane>; 2],
     spot: Vec<Lane>,

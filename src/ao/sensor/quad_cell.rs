@@ -1,10 +1,11 @@
 //! Diffractive quad cell, in closed form.
 //!
-//! A lenslet of n samples, padded to 2n, forms a spot `|F_k|²` on a field of n λ/d. The cell's axis lies between the
-//! points of the transform, at half-integer k. The difference of the halves needs no transform: with the
-//! autocorrelation `R(D) = Σ_x E(x+D)·E*(x)`, summed over the rows,
+//! A lenslet of n samples, padded to 2n, forms a spot `|F_k|²` on a field of n λ/d. The cell's axis
+//! lies between the points of the transform, at half-integer k. The difference of the halves needs
+//! no transform: with the autocorrelation `R(D) = Σ_x E(x+D)·E*(x)`, summed over the rows,
 //!
-//! `Σ_k sgn(k)|F_k|² = Σ_D R(D) Σ_k sgn(k) exp(−2πi·kD/2n)`, and the inner sum is `−2i/sin(πD/2n)` for odd D, else 0.
+//! `Σ_k sgn(k)|F_k|² = Σ_D R(D) Σ_k sgn(k) exp(−2πi·kD/2n)`, and the inner sum is `−2i/sin(πD/2n)`
+//! for odd D, else 0.
 //!
 //! With `Σ_k|F_k|² = 2n·R(0)` the signal is `S = Σ_{odd D>0} 2·Im R(D) / (n·sin(πD/2n)) / R(0)`.
 
@@ -32,11 +33,13 @@ pub(super) struct QuadCell {
     spans: Vec<Range<usize>>,
     /// `2/(n·sin(πD/2n))` for D = 1, 3, 5 …
     weights: Vec<f32>,
-    /// The same weights for each column, `[vector of columns][D]`; 0 if x + D lies in another lenslet.
+    /// The same weights for each column, `[vector of columns][D]`; 0 if x + D lies in another
+    /// lenslet.
     masked: AlignedBuffer,
     /// First subaperture of each row of lenslets.
     first: Vec<usize>,
-    /// Field of one row of lenslets, `[sample row][x]`, and the x and y differences summed over each column.
+    /// Field of one row of lenslets, `[sample row][x]`, and the x and y differences summed over
+    /// each column.
     re: AlignedBuffer,
     im: AlignedBuffer,
     along: [Vec<f32>; 2],
@@ -50,7 +53,8 @@ impl QuadCell {
             .map(|row| {
                 let spans = (row * n..(row + 1) * n).map(|y| footprint.span(y)).filter(|span| !span.is_empty());
                 let union = spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
-                // Whole lenslets, so that dark samples of an illuminated lenslet are overwritten with 0 in every row.
+                // Whole lenslets, so that dark samples of an illuminated lenslet are overwritten
+                // with 0 in every row.
                 let (start, end) = (union.start / n * n, union.end.next_multiple_of(n));
                 start / LANES * LANES..end.next_multiple_of(LANES).min(stride)
             })
@@ -152,8 +156,8 @@ impl NullaryFnOnce for Row<'_> {
             }
         }
         for at in span.step_by(LANES) {
-            // A constant length lets the compiler unroll the loops over distances, so the common lengths have code of
-            // their own.
+            // A constant length lets the compiler unroll the loops over distances, so the common
+            // lengths have code of their own.
             match n {
                 8 => cell.differences(at, 8),
                 10 => cell.differences(at, 10),
@@ -166,10 +170,11 @@ impl NullaryFnOnce for Row<'_> {
 }
 
 impl QuadCell {
-    /// Computes both differences in the [`LANES`] columns from `at` on, summed over the `n` rows of the lenslet.
+    /// Computes both differences in the [`LANES`] columns from `at` on, summed over the `n` rows of
+    /// the lenslet.
     ///
-    /// Rows are read through windows of a constant length, and distances are limited to it, so that no access needs a
-    /// bounds check.
+    /// Rows are read through windows of a constant length, and distances are limited to it, so that
+    /// no access needs a bounds check.
     #[inline(always)]
     fn differences(&mut self, at: usize, n: usize) {
         let width = self.re.len() / self.lenslets.samples;
@@ -179,7 +184,8 @@ impl QuadCell {
         for y in 0..n {
             let Some((re, im)) = self.window(y * width + at) else { return };
             let here = (lanes(re, 0), lanes(im, 0));
-            // One sum for each row and axis: a single one would be a chain of 70 dependent additions.
+            // One sum for each row and axis: a single one would be a chain of 70 dependent
+            // additions.
             let mut row = [0.0f32; LANES];
             for (i, mask) in masks.iter().enumerate() {
                 add_cross(&mut row, mask, here, (lanes(re, 2 * i + 1), lanes(im, 2 * i + 1)));

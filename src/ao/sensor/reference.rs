@@ -10,11 +10,12 @@ use std::path::{Path, PathBuf};
 /// HDU of an image file with the row by which corrections have moved the reference slopes.
 pub(crate) const MOVED_REFERENCE: &str = "MOVED_REFERENCE";
 
-/// The reference slopes of `scene`'s file in its own order and unit: HDU `REFERENCE` or the first image, a row of `slopes` values; `None`
-/// where the scene names no file.
+/// The reference slopes of `scene`'s file in its own order and unit: HDU `REFERENCE` or the first
+/// image, a row of `slopes` values; `None` where the scene names no file.
 ///
 /// # Errors
-/// [`Error::File`] for a file that cannot be read, another number of values, or one that is not finite.
+/// [`Error::File`] for a file that cannot be read, another number of values, or one that is not
+/// finite.
 pub(crate) fn reference_slopes(scene: &System, sensing: &SensorScene, slopes: usize) -> Result<Option<Array1<f64>>> {
     let row = |file: &PathBuf| {
         let path = scene.resolve(file);
@@ -25,8 +26,9 @@ pub(crate) fn reference_slopes(scene: &System, sensing: &SensorScene, slopes: us
     sensing.reference_file.as_ref().map(row).transpose()
 }
 
-/// By how much corrections have moved the reference slopes, as [`reference_slopes`]: HDU [`MOVED_REFERENCE`] or the first image of `scene`'s file, or the
-/// columns `X_MAS` and `Y_MAS` of its table `REFERENCE`, as corrections have them, which are in mas, all x then all y.
+/// By how much corrections have moved the reference slopes, as [`reference_slopes`]: HDU
+/// [`MOVED_REFERENCE`] or the first image of `scene`'s file, or the columns `X_MAS` and `Y_MAS` of
+/// its table `REFERENCE`, as corrections have them, which are in mas, all x then all y.
 ///
 /// # Errors
 /// As [`reference_slopes`].

@@ -1,5 +1,5 @@
-//! Orders, axes, signs and unit in which slopes are measured: the discrete alternatives to `[all x, all y]` over the
-//! subapertures in use, row by row.
+//! Orders, axes, signs and unit in which slopes are measured: the discrete alternatives to
+//! `[all x, all y]` over the subapertures in use, row by row.
 
 use super::lenslets::Lenslets;
 use crate::scene::{SensorScene, SlopeOrder};
@@ -38,7 +38,8 @@ impl SlopeFormat {
     /// [`Error::Value`] for an order that subapertures without that symmetry cannot have.
     pub fn new(scene: &SensorScene, lenslets: &Lenslets) -> Result<Self> {
         let mut sources: Vec<(usize, f64)> = (0..2 * lenslets.subapertures.len()).map(|slope| (slope, 1.0)).collect();
-        // The order that is undone first is the one that the measured slopes have: the later ones are sources within its result.
+        // The order that is undone first is the one that the measured slopes have: the later ones
+        // are sources within its result.
         for &order in &scene.slope_order {
             let next = slope_sources(order, lenslets.across, &lenslets.subapertures).ok_or_else(|| {
                 Error::Value(format!(
@@ -76,7 +77,8 @@ impl SlopeFormat {
         Ok(measured)
     }
 
-    /// Unit of measured slopes for a card `BUNIT`: `mas`, or none where a slope of 1 is another angle.
+    /// Unit of measured slopes for a card `BUNIT`: `mas`, or none where a slope of 1 is another
+    /// angle.
     pub(in crate::ao) fn unit(&self) -> &'static str {
         if self.unit_mas == 1.0 { "mas" } else { "" }
     }
@@ -98,7 +100,8 @@ impl SlopeFormat {
     }
 }
 
-/// Exchange of x and y, and then flips of x and y, from the expected coordinates to those of `order`.
+/// Exchange of x and y, and then flips of x and y, from the expected coordinates to those of
+/// `order`.
 fn symmetry(order: SlopeOrder) -> Option<(bool, [bool; 2])> {
     match order {
         SlopeOrder::FlippedX => Some((false, [true, false])),
@@ -112,8 +115,8 @@ fn symmetry(order: SlopeOrder) -> Option<(bool, [bool; 2])> {
     }
 }
 
-/// Where each expected slope is in `order`, and its sign there; `None` where the subapertures (`row·across + column`,
-/// ascending) do not have the symmetry.
+/// Where each expected slope is in `order`, and its sign there; `None` where the subapertures
+/// (`row·across + column`, ascending) do not have the symmetry.
 pub(crate) fn slope_sources(order: SlopeOrder, across: usize, subapertures: &[usize]) -> Option<Vec<(usize, f64)>> {
     let count = subapertures.len();
     let plain = |source: &dyn Fn(usize) -> (usize, f64)| Some((0..2 * count).map(source).collect());
@@ -136,8 +139,8 @@ pub(crate) fn slope_sources(order: SlopeOrder, across: usize, subapertures: &[us
     }
 }
 
-/// Sources under a symmetry of the square. With W(u, v) = W'(u', v'), where u' is ±u or, exchanged, ±v, a slope along u is
-/// ± the one along the file's axis that u became.
+/// Sources under a symmetry of the square. With W(u, v) = W'(u', v'), where u' is ±u or, exchanged,
+/// ±v, a slope along u is ± the one along the file's axis that u became.
 fn mirrored(
     exchange: bool,
     [flip_x, flip_y]: [bool; 2],
@@ -163,7 +166,8 @@ fn mirrored(
 mod tests {
     use super::*;
 
-    /// Slopes of W = x²·(2y + 1) + y³/3 about the centre of a 3 × 3 array without one corner pair, in another frame.
+    /// Slopes of W = x²·(2y + 1) + y³/3 about the centre of a 3 × 3 array without one corner pair,
+    /// in another frame.
     #[test]
     fn sources_undo_each_order() {
         let across = 4;

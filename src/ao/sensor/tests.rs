@@ -45,7 +45,8 @@ fn a_known_tilt_is_measured_in_mas_by_every_detector() {
             let map = tilt(mas, &bench.pupil.grid, &bench.footprint);
             bench.sensor.measure(&map, None, &mut slopes).unwrap();
             for i in full(&bench) {
-                // 8 mas is a thirtieth of λ/d: a sine's third-order term is below 1 % of it. Crosstalk is rounding.
+                // 8 mas is a thirtieth of λ/d: a sine's third-order term is below 1 % of it.
+                // Crosstalk is rounding.
                 assert!((f64::from(slopes[i]) - mas).abs() < 0.08, "{detector} {mas}: {}", slopes[i]);
                 assert!(slopes[248 + i].abs() < 2e-2, "{detector} {mas}: {}", slopes[248 + i]);
             }
@@ -147,7 +148,8 @@ fn photon_noise_falls_as_root_of_light_and_read_noise_as_light() {
         ["4.0", "9.0", "14.0"].map(|r| noise_mas(&[quiet, ("wavefront_sensor.star_magnitude_r", r)]));
     // 40 frames of about 150 subapertures: known to 1 %.
     assert!((medium / bright / 10.0 - 1.0).abs() < 0.05, "{bright} {medium}");
-    // With 8 photons the mean of 1/N exceeds 1/(mean N) by some 20 %, and so does the noise, by half of it or more.
+    // With 8 photons the mean of 1/N exceeds 1/(mean N) by some 20 %, and so does the noise, by
+    // half of it or more.
     assert!((1.0..1.5).contains(&(faint / medium / 10.0)), "{medium} {faint}");
     let dark = ("wavefront_sensor.photon_noise", "false");
     let read = |e: &str, r: &str| {
@@ -164,7 +166,8 @@ fn photon_noise_of_the_quad_cell_is_that_of_counting() {
     let quiet = [("wavefront_sensor.read_noise_e", "0.0")];
     let electrons = 4.01e12 / 368.0 * 10f64.powf(-1.6) * 0.5625f64.powi(2) / 1054.0;
     let expected = unit_mas / electrons.sqrt();
-    // 6,000 draws: 1 % of the standard deviation; full subapertures hold up to 0.1 % less than all light.
+    // 6,000 draws: 1 % of the standard deviation; full subapertures hold up to 0.1 % less than all
+    // light.
     assert!((noise_mas(&quiet) / expected - 1.0).abs() < 0.05);
     // The cell's response to a small tilt: Σ 2(n−D)D/(n² sin(πD/2n))·(2π·pitch/λ/n) per nm/m.
     let n = 12.0;
@@ -196,7 +199,8 @@ fn shifted_lenslets_measure_the_shifted_wavefront() {
         ]);
         let part = shifted.scene.wavefront_sensor.as_ref().unwrap();
         let mut now = shifted.sensor.with_changes(part, &shifted.pupil, &shifted.footprint).unwrap();
-        // W = a·(x² + y²): its slope grows by 2a per metre, so a shift of s adds 2a·s to every slope.
+        // W = a·(x² + y²): its slope grows by 2a per metre, so a shift of s adds 2a·s to every
+        // slope.
         let (grid, a) = (calibrated.pupil.grid, 20.0);
         let mut map = calibrated.footprint.zeros();
         for (i, out) in map.iter_mut().enumerate() {
@@ -217,8 +221,8 @@ fn shifted_lenslets_measure_the_shifted_wavefront() {
             for (axis, gained) in gained.into_iter().enumerate() {
                 let at = axis * 248 + i;
                 let (before, after) = (f64::from(before[at]), f64::from(after[at]) / 0.9);
-                // Slopes of up to 60 mas, a quarter of λ/d: the cell's third-order term takes up to a tenth of a
-                // difference of up to 3 mas.
+                // Slopes of up to 60 mas, a quarter of λ/d: the cell's third-order term takes up to
+                // a tenth of a difference of up to 3 mas.
                 assert!((after - before - gained).abs() < 0.3, "{detector} {at}: {before} {after} {gained}");
             }
         }
@@ -250,7 +254,8 @@ fn turned_and_magnified_lenslets_measure_along_their_own_axes() {
         assert!(whole.len() > 40, "{}", whole.len());
         for i in whole {
             for (axis, expected) in expected.into_iter().enumerate() {
-                // Interpolation of a tilt is exact; amplitudes that are interpolated beside a gap move the spot by a thousandth.
+                // Interpolation of a tilt is exact; amplitudes that are interpolated beside a gap
+                // move the spot by a thousandth.
                 assert!((f64::from(slopes[axis * 248 + i]) - expected).abs() < 0.02, "{detector} {i} {axis}");
             }
         }

@@ -1,7 +1,8 @@
-//! Surface of a mirror with measured influence functions: the sum of all functions, each over the rectangle of samples in which it is
-//! not 0.
+//! Surface of a mirror with measured influence functions: the sum of all functions, each over the
+//! rectangle of samples in which it is not 0.
 //!
-//! The values are stored actuator by actuator and row by row, in runs of whole SIMD vectors, and each is read once per surface.
+//! The values are stored actuator by actuator and row by row, in runs of whole SIMD vectors, and
+//! each is read once per surface.
 
 use super::super::aligned::AlignedBuffer;
 use super::super::footprint::{Footprint, LANES};
@@ -32,7 +33,8 @@ struct Actuator {
 /// Values of an influence function in a row of samples.
 #[derive(Clone)]
 struct Run {
-    /// Index of the first sample in a map over the footprint, and number of samples; both are multiples of [`LANES`].
+    /// Index of the first sample in a map over the footprint, and number of samples; both are
+    /// multiples of [`LANES`].
     place: usize,
     len: usize,
 }
@@ -72,7 +74,8 @@ impl MeasuredSurface {
         self.values.len() as f64
     }
 
-    /// Adds `scale` times the surface of `commands_nm` to `opd_nm`, and `static_nm`; returns Σ A·W and Σ A·W² of the sum W.
+    /// Adds `scale` times the surface of `commands_nm` to `opd_nm`, and `static_nm`; returns Σ A·W
+    /// and Σ A·W² of the sum W.
     pub(super) fn apply(
         &self,
         commands_nm: &[f32],
@@ -84,7 +87,8 @@ impl MeasuredSurface {
     }
 }
 
-/// Kernel of the sum and of its moments, which are summed in single precision within a row and in double precision between rows.
+/// Kernel of the sum and of its moments, which are summed in single precision within a row and in
+/// double precision between rows.
 struct ApplyFunctions<'a> {
     surface: &'a MeasuredSurface,
     commands_nm: &'a [f32],

@@ -42,7 +42,8 @@ impl Surface {
         self.actuators
     }
 
-    /// Rows and columns of samples that an actuator moves; empty for one that is far from the pupil.
+    /// Rows and columns of samples that an actuator moves; empty for one that is far from the
+    /// pupil.
     pub(super) fn moved(&self, actuator: usize) -> [Range<usize>; 2] {
         match &self.functions {
             Functions::Separable(surface) => surface.moved(actuator),
@@ -58,7 +59,8 @@ impl Surface {
         }
     }
 
-    /// Bytes of the influence functions that are read for a surface, besides what stays in the first cache.
+    /// Bytes of the influence functions that are read for a surface, besides what stays in the
+    /// first cache.
     pub(super) fn bytes(&self) -> f64 {
         match &self.functions {
             Functions::Separable(_) => 0.0,
@@ -66,7 +68,8 @@ impl Surface {
         }
     }
 
-    /// Adds `scale` times the surface of `commands_nm` (one for each actuator) to `opd_nm`, a map over the footprint.
+    /// Adds `scale` times the surface of `commands_nm` (one for each actuator) to `opd_nm`, a map
+    /// over the footprint.
     ///
     /// # Errors
     /// [`Error::Shape`] if either has a wrong length.
@@ -76,8 +79,8 @@ impl Surface {
         Ok(())
     }
 
-    /// Subtracts the surface of `commands_nm` from `opd_nm` and adds `static_nm`, both maps over the footprint; returns
-    /// Σ A·W and Σ A·W² of the residual W.
+    /// Subtracts the surface of `commands_nm` from `opd_nm` and adds `static_nm`, both maps over
+    /// the footprint; returns Σ A·W and Σ A·W² of the residual W.
     ///
     /// # Errors
     /// [`Error::Shape`] if one of them has a wrong length.
@@ -133,7 +136,8 @@ mod tests {
             for (&index, expected) in samples.indices.iter().zip(expected) {
                 let (y, x) = (index / footprint.samples(), index % footprint.samples());
                 let got = f64::from(map[y * footprint.stride() + x]);
-                // Strokes of 1,000 nm: the cut-off leaves up to 1e-7 of each of 21 lines, rounding 1e-7 of the sum.
+                // Strokes of 1,000 nm: the cut-off leaves up to 1e-7 of each of 21 lines, rounding
+                // 1e-7 of the sum.
                 assert!((got - expected).abs() < 1e-2, "{got} {expected}");
             }
             surface.add(&commands, -1.0, &mut map).unwrap();
@@ -141,7 +145,8 @@ mod tests {
         }
     }
 
-    /// Functions with negative rings, of each actuator and in common, on another grid than the simulator's.
+    /// Functions with negative rings, of each actuator and in common, on another grid than the
+    /// simulator's.
     #[test]
     #[ignore = "merge: 3 s"]
     fn measured_surface_is_the_sum_of_functions_with_its_moments() {
@@ -179,7 +184,8 @@ mod tests {
             opd_nm.iter_mut().zip(footprint.amplitude()).for_each(|(opd, a)| *opd += 100.0 * a);
             let moments = surface.correct(&commands, &fixed, &mut opd_nm).unwrap();
             let weights = footprint.amplitude().iter().map(|&a| f64::from(a));
-            // What remains is 130 nm times the amplitude A: Σ A·130A and Σ A·(130A)², with the same rounding in each sample.
+            // What remains is 130 nm times the amplitude A: Σ A·130A and Σ A·(130A)², with the same
+            // rounding in each sample.
             for (power, moment) in (1..).zip(moments) {
                 let known: f64 = weights.clone().map(|a| a * (130.0 * a).powi(power)).sum();
                 assert!((moment / known - 1.0).abs() < 1e-4, "{moment} {known}");

@@ -1,8 +1,9 @@
 //! Surface of a mirror with Gaussian influence functions.
 //!
-//! Such a function is separable, `g(x−x_i)·g(y−y_j)`, so the surface for the commands C is `G_yᵀ·C·G_x`:
-//! first the columns, then the rows. Beyond a few pitches the Gaussian is below single precision, so both products are
-//! banded: about six rows of actuators contribute to a row of samples.
+//! Such a function is separable, `g(x−x_i)·g(y−y_j)`, so the surface for the commands C is
+//! `G_yᵀ·C·G_x`: first the columns, then the rows. Beyond a few pitches the Gaussian is below
+//! single precision, so both products are banded: about six rows of actuators contribute to a row
+//! of samples.
 
 use super::super::aligned::AlignedBuffer;
 use super::super::footprint::{Footprint, LANES};
@@ -20,15 +21,16 @@ pub(super) struct SeparableSurface {
     footprint: Footprint,
     across: usize,
     indices: Vec<usize>,
-    /// Influence along an axis, `[actuator line][sample]`, in rows of the footprint's stride; and its transpose,
-    /// `[sample][line]`.
+    /// Influence along an axis, `[actuator line][sample]`, in rows of the footprint's stride; and
+    /// its transpose, `[sample][line]`.
     along: AlignedBuffer,
     transposed: Vec<f32>,
     /// Samples at which `along` is not 0, for each line of actuators, in whole vectors.
     reach: Vec<Range<usize>>,
     /// Lines of actuators that contribute to each line of samples.
     band: Vec<Range<usize>>,
-    /// Commands on the whole square of actuators; then `C·G_x` in vectors of samples, `[vector][actuator row]`.
+    /// Commands on the whole square of actuators; then `C·G_x` in vectors of samples,
+    /// `[vector][actuator row]`.
     commands: Vec<f32>,
     columns: AlignedBuffer,
 }
@@ -78,7 +80,8 @@ impl SeparableSurface {
         [index / self.across, index % self.across].map(|line| self.moved_samples(line))
     }
 
-    /// Samples along an axis that a line of actuators moves; empty for one that is far from the pupil.
+    /// Samples along an axis that a line of actuators moves; empty for one that is far from the
+    /// pupil.
     fn moved_samples(&self, line: usize) -> Range<usize> {
         let along = &self.along[line * self.footprint.stride()..][..self.footprint.stride()];
         let first = along.iter().position(|&value| value > 0.0).unwrap_or(0);
@@ -92,7 +95,8 @@ impl SeparableSurface {
         (columns, rows.sum())
     }
 
-    /// Adds `scale` times the surface of `commands_nm` to `opd_nm`, and `static_nm`; returns Σ A·W and Σ A·W² of the sum W.
+    /// Adds `scale` times the surface of `commands_nm` to `opd_nm`, and `static_nm`; returns Σ A·W
+    /// and Σ A·W² of the sum W.
     pub(super) fn apply(
         &mut self,
         commands_nm: &[f32],
@@ -111,8 +115,8 @@ impl SeparableSurface {
     }
 }
 
-/// Kernel of both products and of the residual's moments, which are summed in single precision within a row and in
-/// double precision between rows.
+/// Kernel of both products and of the residual's moments, which are summed in single precision
+/// within a row and in double precision between rows.
 struct ApplySurface<'a> {
     surface: &'a mut SeparableSurface,
     static_nm: Option<&'a [f32]>,
@@ -149,7 +153,8 @@ impl NullaryFnOnce for ApplySurface<'_> {
                 for l in 0..LANES {
                     weighted[l] = a[l] * sum[l];
                 }
-                // A multiply-add like the other sum: the compiler does not vectorise plain additions here.
+                // A multiply-add like the other sum: the compiler does not vectorise plain
+                // additions here.
                 multiply_add(&mut first, a, &sum);
                 multiply_add(&mut second, &weighted, &sum);
             }

@@ -1,5 +1,6 @@
-//! The CPU chain with a free phase (one number per illuminated sample) and an amplitude per segment in addition to the modes,
-//! for MAP wavefront retrieval. With a free phase of zero and amplitudes of 1, an evaluation is bitwise that of the modes.
+//! The CPU chain with a free phase (one number per illuminated sample) and an amplitude per segment
+//! in addition to the modes, for MAP wavefront retrieval. With a free phase of zero and amplitudes
+//! of 1, an evaluation is bitwise that of the modes.
 
 use super::{Backward, CpuChain, Evaluation, Field, LoadedImage, Polynomial, Scratch, check_batch, vectorised};
 use crate::{Error, Result};
@@ -17,11 +18,13 @@ pub struct FreeWavefront<'a, T> {
 }
 
 impl<T: Polynomial> CpuChain<T> {
-    /// Objective and gradient of one image at a wavefront. The gradient by the coefficients is written into `evaluation`, that by the free phase, per turn,
-    /// into `free_gradient`. Nothing is allocated.
+    /// Objective and gradient of one image at a wavefront. The gradient by the coefficients is
+    /// written into `evaluation`, that by the free phase, per turn, into `free_gradient`. Nothing
+    /// is allocated.
     ///
     /// # Panics
-    /// If an argument was made by a chain of another model, or the free phase does not have one number per illuminated sample.
+    /// If an argument was made by a chain of another model, or the free phase does not have one
+    /// number per illuminated sample.
     pub fn evaluate_free(
         &self,
         image: &LoadedImage<T>,
@@ -44,8 +47,8 @@ impl<T: Polynomial> CpuChain<T> {
         }
     }
 
-    /// As [`CpuChain::evaluate_free`] for `images` of the batch, on every core: `free_turns` and `free_gradient` are
-    /// `[image][illuminated sample]`, rounded to the precision of the chain.
+    /// As [`CpuChain::evaluate_free`] for `images` of the batch, on every core: `free_turns` and
+    /// `free_gradient` are `[image][illuminated sample]`, rounded to the precision of the chain.
     ///
     /// # Errors
     /// [`Error::Shape`] where the arrays do not fit the batch and the model.
@@ -81,7 +84,8 @@ impl<T: Polynomial> CpuChain<T> {
         Ok(rows.enumerate().map(|(i, (turns, gradient))| one(i, turns, gradient)).collect())
     }
 
-    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at a wavefront, without allocation.
+    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at a wavefront, without
+    /// allocation.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_free`].
@@ -98,7 +102,8 @@ impl<T: Polynomial> CpuChain<T> {
         self.fields().all(Field::has_amplitudes)
     }
 
-    /// The gradient of the last [`CpuChain::evaluate_free`] in `scratch` by the logarithm of each segment's amplitude.
+    /// The gradient of the last [`CpuChain::evaluate_free`] in `scratch` by the logarithm of each
+    /// segment's amplitude.
     pub fn amplitude_gradient(&self, scratch: &Scratch<T>, gradient: &mut [f64]) {
         gradient.fill(0.0);
         for (stages, colour) in self.colours.iter().zip(&scratch.colours) {
@@ -108,7 +113,8 @@ impl<T: Polynomial> CpuChain<T> {
 }
 
 impl<T: Polynomial> Scratch<T> {
-    /// Sets the amplitude of each segment relative to that of its weights, for all further evaluations; initially 1.
+    /// Sets the amplitude of each segment relative to that of its weights, for all further
+    /// evaluations; initially 1.
     pub fn set_amplitudes(&mut self, amplitudes: impl Iterator<Item = f64> + Clone) {
         for colour in &mut self.colours {
             let own = colour.field.amplitudes().iter_mut();

@@ -9,7 +9,8 @@ use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffer
 use crate::Result;
 use crate::device::{Build, Device, Kernel, Reals};
 
-/// The kernels between the coefficients and the phase, which all wavelengths share, and those of its adjoint.
+/// The kernels between the coefficients and the phase, which all wavelengths share, and those of
+/// its adjoint.
 pub(super) struct PhaseKernels {
     pub(super) smooth_phase: Kernel,
     pub(super) add_free_phase: Kernel,

@@ -1,10 +1,11 @@
-//! Device memory that the chain takes, as a formula, and the tile size that follows from it. A test compares the formula with
-//! the allocated bytes.
+//! Device memory that the chain takes, as a formula, and the tile size that follows from it. A test
+//! compares the formula with the allocated bytes.
 //!
 //! `bytes = model + image · capacity + tile_image · tile + in_work · images in work`
 //!
-//! `model` is pupil, basis and tables; `image` data, weights, coefficients and results of one image; `tile_image` the phase
-//! and partial sums of one image of a tile; `in_work` fields and scratch memory of one image being transformed.
+//! `model` is pupil, basis and tables; `image` data, weights, coefficients and results of one
+//! image; `tile_image` the phase and partial sums of one image of a tile; `in_work` fields and
+//! scratch memory of one image being transformed.
 
 use super::colours::ColourSizes;
 use super::fold::{Blocks, FoldedShape, GROUP, MODES_AT_ONCE};
@@ -106,8 +107,8 @@ impl MemoryBudget {
     }
 }
 
-/// Device memory that a chain may use, bytes: nine tenths of a GPU's; three quarters of a CPU's, which is shared with all
-/// other programs.
+/// Device memory that a chain may use, bytes: nine tenths of a GPU's; three quarters of a CPU's,
+/// which is shared with all other programs.
 pub(super) fn usable_memory_bytes(info: &DeviceInfo) -> u64 {
     match info.kind {
         DeviceKind::Cpu => info.memory_bytes / 4 * 3,

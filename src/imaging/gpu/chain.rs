@@ -13,22 +13,24 @@ use super::stages::{Focal, Inputs, Stages};
 use crate::device::{Build, Device, Precision};
 use crate::{Error, Result};
 
-/// Images folded on the host at a time: enough for every core, and little memory compared with the device's.
+/// Images folded on the host at a time: enough for every core, and little memory compared with the
+/// device's.
 const FOLDED_AT_ONCE: usize = 32;
 
-/// Least images of which a core computes the inputs, 1 µs for each: waking another core takes some 0.1 ms.
+/// Least images of which a core computes the inputs, 1 µs for each: waking another core takes some
+/// 0.1 ms.
 const INPUTS_AT_ONCE: usize = 256;
 
-/// The chain on a device, with memory for a number of images. It cannot be shared between threads, because the arguments of
-/// its kernels stay bound between launches.
+/// The chain on a device, with memory for a number of images. It cannot be shared between threads,
+/// because the arguments of its kernels stay bound between launches.
 pub struct GpuChain {
     device: Device,
     build: Build,
     layout: GpuLayout,
     shape: FoldedShape,
     stages: Stages,
-    /// The same chain with matrix products in place of the FFT, for focal fields, which the FFT kernel does not store.
-    /// Made at its first use.
+    /// The same chain with matrix products in place of the FFT, for focal fields, which the FFT
+    /// kernel does not store. Made at its first use.
     matrix: Option<Box<GpuChain>>,
     photometry: Vec<GpuPhotometry>,
     /// Offset subtracted from the data of each image: see [`FoldedImage::offset`].
@@ -39,8 +41,8 @@ impl GpuChain {
     /// Compiles the chain for `layout` on `device`, with memory for `capacity` images.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other, [`Error::Device`] where the
-    /// device lacks the precision or the memory.
+    /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other,
+    /// [`Error::Device`] where the device lacks the precision or the memory.
     pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, capacity: usize) -> Result<Self> {
         layout.check()?;
         let build = Build::for_device(device.info(), precision);
@@ -56,10 +58,12 @@ impl GpuChain {
         Self::with_memory(device, build, layout, capacity, usable_memory_bytes(device.info()))
     }
 
-    /// [`GpuChain::with_build`] in at most `memory_bytes` of device memory: less memory means smaller tiles.
+    /// [`GpuChain::with_build`] in at most `memory_bytes` of device memory: less memory means
+    /// smaller tiles.
     ///
     /// # Errors
-    /// As for [`GpuChain::new`]; [`Error::Device`], with the bytes needed and available, where the memory does not suffice.
+    /// As for [`GpuChain::new`]; [`Error::Device`], with the bytes needed and available, where the
+    /// memory does not suffice.
     pub(crate) fn with_memory(
         device: &Device,
         build: Build,
@@ -101,7 +105,8 @@ impl GpuChain {
         if self.layout.free_phase { self.layout.illuminated.len() } else { 0 }
     }
 
-    /// Points of the FFT; `None` with matrix products. Beside the model, the work of an evaluation depends on it.
+    /// Points of the FFT; `None` with matrix products. Beside the model, the work of an evaluation
+    /// depends on it.
     pub fn fft_points(&self) -> Option<usize> {
         self.build.fft.map(|fft| fft.points())
     }
@@ -116,14 +121,14 @@ impl GpuChain {
         self.stages.capacity()
     }
 
-    /// Uploads images: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whose data are ignored) are
-    /// `[image][row][column]`, with one photometry per image. They replace the images of an earlier call;
-    /// after an error none is loaded.
+    /// Uploads images: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whose data
+    /// are ignored) are `[image][row][column]`, with one photometry per image. They replace the
+    /// images of an earlier call; after an error none is loaded.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the lists do not fit or exceed the capacity; [`Error::Value`] for a weight that is
-    /// negative or not finite, data that are not finite where the weight is positive, or known photometry that is not
-    /// finite; [`Error::Device`] where the device failed.
+    /// [`Error::Shape`] where the lists do not fit or exceed the capacity; [`Error::Value`] for a
+    /// weight that is negative or not finite, data that are not finite where the weight is
+    /// positive, or known photometry that is not finite; [`Error::Device`] where the device failed.
     pub fn load<D, W>(&mut self, data: &[D], weights: &[W], photometry: &[GpuPhotometry]) -> Result<()>
     where
         D: Copy + Into<f64> + Sync,
@@ -218,19 +223,21 @@ impl GpuChain {
         self.upload(images)
     }
 
-    /// Objective, gradient and photometry of the images `active` (indices into what was loaded) at `coefficients`, nm,
-    /// `[active image][mode]`.
+    /// Objective, gradient and photometry of the images `active` (indices into what was loaded) at
+    /// `coefficients`, nm, `[active image][mode]`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for an image that is not loaded or a list of another length; [`Error::Value`] for a coefficient
-    /// that is not finite; [`Error::Device`] where the device failed.
+    /// [`Error::Shape`] for an image that is not loaded or a list of another length;
+    /// [`Error::Value`] for a coefficient that is not finite; [`Error::Device`] where the device
+    /// failed.
     pub fn evaluate(&mut self, active: &[usize], coefficients: &[f64]) -> Result<GpuEvaluation> {
         let free = vec![0.0; active.len() * self.free_samples()];
         self.evaluate_free(active, coefficients, &free, &mut free.clone())
     }
 
-    /// As [`GpuChain::evaluate`] with a free phase `free`, turns, `[active image][illuminated sample]`, for a model that has
-    /// one. The gradient of the objective by it, per turn, is written into `slopes`.
+    /// As [`GpuChain::evaluate`] with a free phase `free`, turns,
+    /// `[active image][illuminated sample]`, for a model that has one. The gradient of the
+    /// objective by it, per turn, is written into `slopes`.
     ///
     /// # Errors
     /// As for [`GpuChain::evaluate`].
@@ -280,8 +287,8 @@ impl GpuChain {
         Ok(evaluation)
     }
 
-    /// The PSFs at `coefficients`, nm, `[image][mode]`: `[image][row][column]`, for any number of images (no image need be
-    /// loaded).
+    /// The PSFs at `coefficients`, nm, `[image][mode]`: `[image][row][column]`, for any number of
+    /// images (no image need be loaded).
     ///
     /// # Errors
     /// As for [`GpuChain::evaluate`].
@@ -349,8 +356,8 @@ impl GpuChain {
         Ok(Inputs { turns, poses })
     }
 
-    /// The poses of the segments at a wavelength: re and im of the phasor of the piston times the root of the intensity scale
-    /// (so that |U|² is the PSF), then tip and tilt, turns.
+    /// The poses of the segments at a wavelength: re and im of the phasor of the piston times the
+    /// root of the intensity scale (so that |U|² is the PSF), then tip and tilt, turns.
     fn poses(&self, colour: &GpuColour, images: usize, coefficients: &[f64]) -> Vec<f64> {
         let (layout, amplitude) = (&self.layout, colour.intensity_scale.sqrt());
         self.of_each_image(images, 4 * layout.segments, coefficients, |poses, coefficients| {
@@ -370,7 +377,8 @@ impl GpuChain {
         })
     }
 
-    /// `numbers` of each image, which `fill` makes of zeros from its coefficients; many images on all cores.
+    /// `numbers` of each image, which `fill` makes of zeros from its coefficients; many images on
+    /// all cores.
     fn of_each_image(
         &self,
         images: usize,
@@ -386,7 +394,8 @@ impl GpuChain {
     }
 }
 
-/// |C ∓ iS|² of `[pair][+v, -v][C re, C im, S re, S im][u]`, in the order of pixels of an image of `m` rows.
+/// Intensity |C ∓ iS|² of `[pair][+v, -v][C re, C im, S re, S im][u]`, in the order of pixels of an
+/// image of `m` rows.
 fn unfold_intensity(shape: &FoldedShape, field: &[f64], m: usize, image: &mut [f64]) {
     let span = shape.span;
     for (i, h) in image.iter_mut().enumerate() {

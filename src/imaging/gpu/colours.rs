@@ -6,8 +6,8 @@ use super::memory::{Counts, Partition, padded};
 use crate::Result;
 use crate::device::{Build, Device, Precision, Reals};
 
-/// Sizes of the arrays of one wavelength, numbers; padded, because the array of the next wavelength begins where a part of a
-/// buffer may.
+/// Sizes of the arrays of one wavelength, numbers; padded, because the array of the next wavelength
+/// begins where a part of a buffer may.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ColourSizes {
     /// The four tables, in the order of [`FoldedShape::tables`].
@@ -35,8 +35,8 @@ impl ColourSizes {
     }
 }
 
-/// An array of each wavelength, one after the other in one buffer: `focus_stored` is bound to the whole, the kernels of one
-/// wavelength to its part.
+/// An array of each wavelength, one after the other in one buffer: `focus_stored` is bound to the
+/// whole, the kernels of one wavelength to its part.
 pub(super) struct PerColour {
     pub whole: Reals,
     pub parts: Vec<Reals>,
@@ -52,8 +52,8 @@ impl PerColour {
     }
 }
 
-/// Buffers of the wavelengths: scale, diversity and tables, constant after construction; poses; fields, which are kept from the
-/// forward model to the adjoint.
+/// Buffers of the wavelengths: scale, diversity and tables, constant after construction; poses;
+/// fields, which are kept from the forward model to the adjoint.
 pub(super) struct ColourBuffers {
     /// The first wavelength over each.
     pub scales: Reals,

@@ -50,8 +50,8 @@ impl FoldedShape {
         }
     }
 
-    /// The FFT for `layout`, where there is one: the image is the squared modulus of one field, it has as many pixels as the padded
-    /// pupil has samples, and its rows are whole vectors.
+    /// The FFT for `layout`, where there is one: the image is the squared modulus of one field, it
+    /// has as many pixels as the padded pupil has samples, and its rows are whole vectors.
     pub fn fft(layout: &GpuLayout, vector: usize) -> Option<FftPlan> {
         let [colour] = layout.colours.as_slice() else { return None };
         let (points, exact) = (layout.pixels, layout.samples as f64 * colour.samples_per_lambda_over_d);
@@ -81,8 +81,8 @@ impl FoldedShape {
         self.fft.map_or(self.pairs * 4 * self.span, |fft| fft.points().pow(2))
     }
 
-    /// Index of pixel (row, column) of an image of `m` pixels: `[pair][+v, -v][+u, -u][u]`; with an FFT
-    /// `[vector of v][u][lane of v]`, both in the FFT's order of frequencies.
+    /// Index of pixel (row, column) of an image of `m` pixels: `[pair][+v, -v][+u, -u][u]`; with an
+    /// FFT `[vector of v][u][lane of v]`, both in the FFT's order of frequencies.
     pub fn pixel(&self, m: usize, row: usize, column: usize) -> usize {
         if let Some(fft) = self.fft {
             let [v, u] = [row, column].map(|i| {
@@ -102,7 +102,8 @@ impl FoldedShape {
         TAU * (turns - turns.round())
     }
 
-    /// `[group of TALL outputs][input][cos, sin][TALL]`; the angle is that of `angle(input, output)`.
+    /// `[group of TALL outputs][input][cos, sin][TALL]`; the angle is that of
+    /// `angle(input, output)`.
     fn columns(outputs: usize, inputs: usize, angle: impl Fn(usize, usize) -> f64) -> Vec<f64> {
         let mut table = Vec::with_capacity(outputs.next_multiple_of(TALL) * inputs * 2);
         for group in 0..outputs.div_ceil(TALL) {
@@ -115,7 +116,8 @@ impl FoldedShape {
         table
     }
 
-    /// Chunks of vectors of outputs as `[input][cos, sin][vectors][VEC]`, zero beyond `outputs`; on a GPU all are one chunk.
+    /// Chunks of vectors of outputs as `[input][cos, sin][vectors][VEC]`, zero beyond `outputs`; on
+    /// a GPU all are one chunk.
     fn rows(&self, outputs: usize, inputs: usize, angle: impl Fn(usize, usize) -> f64) -> Vec<f64> {
         let vectors = outputs.div_ceil(self.vector);
         let chunks = if self.vector == 1 { 1 } else { self.row_chunks(vectors * self.vector) };
@@ -132,8 +134,8 @@ impl FoldedShape {
         table
     }
 
-    /// Number of work-items for a row of `width` outputs: two vectors each, three for the last of an odd number; on a GPU four
-    /// outputs.
+    /// Number of work-items for a row of `width` outputs: two vectors each, three for the last of
+    /// an odd number; on a GPU four outputs.
     pub fn row_chunks(&self, width: usize) -> usize {
         if self.vector == 1 { width.div_ceil(ROW_WIDE) } else { (width / self.vector / 2).max(1) }
     }
@@ -153,7 +155,8 @@ impl FoldedShape {
         ]
     }
 
-    /// Sizes of the scratch arrays of the FFT of one image: one line, and the samples of both sides.
+    /// Sizes of the scratch arrays of the FFT of one image: one line, and the samples of both
+    /// sides.
     pub fn fft_scratch(&self) -> [usize; 2] {
         self.fft.map_or([0; 2], |fft| [fft.points() * 2 * self.vector, self.side_rows() * 4 * self.vector])
     }
@@ -171,13 +174,14 @@ impl FoldedShape {
     }
 }
 
-/// Distance of sample or pixel `i` of `size` from the axis, in whole steps, and 1 where it is on the negative side.
+/// Distance of sample or pixel `i` of `size` from the axis, in whole steps, and 1 where it is on
+/// the negative side.
 fn fold(i: usize, size: usize) -> (usize, usize) {
     if i >= size / 2 { (i - size / 2, 0) } else { (size / 2 - 1 - i, 1) }
 }
 
-/// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. A column of blocks extends from the axis to
-/// its outermost illuminated sample.
+/// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. A column of blocks
+/// extends from the axis to its outermost illuminated sample.
 #[derive(Debug, Default)]
 pub(super) struct Blocks {
     /// Row and first column of each, by distance from the axis.
@@ -229,8 +233,8 @@ impl Blocks {
         for sample in &folded {
             blocks.extent[sample.column] = blocks.extent[sample.column].max(sample.row as i32 + 1);
         }
-        // All blocks within the extent, also those without an illuminated sample: the adjoint writes there, and the next
-        // field must overwrite that with zeros.
+        // All blocks within the extent, also those without an illuminated sample: the adjoint
+        // writes there, and the next field must overwrite that with zeros.
         let mut number = vec![vec![0; blocks.extent.len()]; shape.rows];
         for (row, numbers) in number.iter_mut().enumerate() {
             for (column, number) in numbers.iter_mut().enumerate() {
@@ -266,7 +270,8 @@ impl Blocks {
     fn fill_modes(&mut self, layout: &GpuLayout, shape: &FoldedShape, folded: &[FoldedSample]) {
         let (count, vector) = (self.count(), shape.vector);
         let modes = layout.smooth.len().next_multiple_of(MODES_AT_ONCE);
-        // A CPU reads the modes of one block in order; neighbouring work-items of a GPU read neighbouring blocks.
+        // A CPU reads the modes of one block in order; neighbouring work-items of a GPU read
+        // neighbouring blocks.
         [self.block_stride, self.mode_stride, self.quadrant_stride] =
             if vector == 1 { [1, 4 * count, count] } else { [modes * 4 * vector, 4 * vector, vector] };
         self.basis = vec![0.0; modes * 4 * count * vector];
@@ -278,10 +283,12 @@ impl Blocks {
         }
     }
 
-    /// Diversity of a wavelength modulo one turn, in planes of numbers; `shape` is that of the wavelength.
+    /// Diversity of a wavelength modulo one turn, in planes of numbers; `shape` is that of the
+    /// wavelength.
     pub fn diversity(&self, layout: &GpuLayout, colour: &GpuColour, shape: &FoldedShape) -> Vec<f64> {
         let (vector, n) = (shape.vector, layout.samples);
-        // The image axis is at pixel m/2; a tilt of half a pixel moves it to the centre of the array. The FFT needs no shift.
+        // The image axis is at pixel m/2; a tilt of half a pixel moves it to the centre of the
+        // array. The FFT needs no shift.
         let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
         let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
         let mut diversity = vec![0.0; 4 * self.count() * vector];
@@ -292,7 +299,8 @@ impl Blocks {
         diversity
     }
 
-    /// Diversity of a wavelength without that of the first times its scale, modulo one turn: see `field.cl`.
+    /// Diversity of a wavelength without that of the first times its scale, modulo one turn: see
+    /// `field.cl`.
     pub fn excess(&self, layout: &GpuLayout, colour: usize, build: Build) -> Vec<f64> {
         let diversity = |colour: &GpuColour| self.diversity(layout, colour, &FoldedShape::new(layout, colour, build));
         let (own, first) = (diversity(&layout.colours[colour]), diversity(&layout.colours[0]));

@@ -11,8 +11,9 @@ pub(super) struct FoldedImage {
     pub kind: i32,
     /// Known flux and background (less the offset), sum of w, sum of w (d - offset).
     pub known: [f64; 4],
-    /// Offset subtracted from the data, electrons: the known background, or the weighted mean where the background is
-    /// fitted. Without it the sums of a faint star on a bright background would cancel in f32.
+    /// Offset subtracted from the data, electrons: the known background, or the weighted mean where
+    /// the background is fitted. Without it the sums of a faint star on a bright background would
+    /// cancel in f32.
     pub offset: f64,
 }
 

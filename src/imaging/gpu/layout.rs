@@ -22,18 +22,22 @@ pub struct GpuColour {
     pub samples_per_lambda_over_d: f64,
     /// Wavelength λ, nm.
     pub wavelength_nm: f64,
-    /// PSF per squared modulus of the focal field: with several wavelengths, times this one's share of the light.
+    /// PSF per squared modulus of the focal field: with several wavelengths, times this one's share
+    /// of the light.
     pub intensity_scale: f64,
     /// Diversity at each illuminated sample, turns.
     pub diversity_turns: Vec<f64>,
 }
 
-/// The forward model as plain arrays: illuminated pupil samples, their weights and modes, and the sampling of the image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
+/// The forward model as plain arrays: illuminated pupil samples, their weights and modes, and the
+/// sampling of the image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
 ///
-/// The field at illuminated sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi (c_s + t_s x_ps + u_s y_ps)/λ)` with
-/// `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the
-/// focal field is `U[v][u] = Σ E[y][x] exp(−2πi step ((x−(n−1)/2)(u−m/2) + (y−(n−1)/2)(v−m/2)))`, `step = 1/(n q)`, and
-/// the image is `intensity_scale |U|²`, summed over the wavelengths, and where pixels have an area convolved with their response.
+/// The field at illuminated sample p is
+/// `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi (c_s + t_s x_ps + u_s y_ps)/λ)` with
+/// `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the focal field is
+/// `U[v][u] = Σ E[y][x] exp(−2πi step ((x−(n−1)/2)(u−m/2) + (y−(n−1)/2)(v−m/2)))`,
+/// `step = 1/(n q)`, and the image is `intensity_scale |U|²`, summed over the wavelengths, and
+/// where pixels have an area convolved with their response.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GpuLayout {
     /// Pupil samples along a side, n; even.
@@ -42,8 +46,9 @@ pub struct GpuLayout {
     pub pixels: usize,
     /// The wavelengths; at least one.
     pub colours: Vec<GpuColour>,
-    /// Response of a pixel along x and along y, as terms of a symmetric convolution: of the pixel itself, and of those at a distance
-    /// of 1, 2, … on both sides. Beyond the border the image is continued by its mirror image. `None` for pixels that are points.
+    /// Response of a pixel along x and along y, as terms of a symmetric convolution: of the pixel
+    /// itself, and of those at a distance of 1, 2, … on both sides. Beyond the border the image is
+    /// continued by its mirror image. `None` for pixels that are points.
     pub pixel_terms: Option<[Vec<f64>; 2]>,
     /// Flat indices `y*n + x` of the illuminated samples, each once.
     pub illuminated: Vec<usize>,
@@ -51,19 +56,20 @@ pub struct GpuLayout {
     pub smooth: Vec<Vec<f64>>,
     /// Number of segments: at least 1 (a monolithic mirror is one segment).
     pub segments: usize,
-    /// Illuminated sample p has the entries `segment_start[p]..segment_start[p + 1]` of the lists below.
+    /// Illuminated sample p has the entries `segment_start[p]..segment_start[p + 1]` of the lists
+    /// below.
     pub segment_start: Vec<usize>,
     /// Segment of each entry.
     pub segment_index: Vec<usize>,
     /// Weight of each entry: amplitude, of either sign.
     pub segment_weight: Vec<f64>,
-    /// Coordinates of each entry on its segment along x and y, nm of wavefront per nm of tip and of tilt; required where a
-    /// mode is a tip or a tilt.
+    /// Coordinates of each entry on its segment along x and y, nm of wavefront per nm of tip and of
+    /// tilt; required where a mode is a tip or a tilt.
     pub segment_slopes: Option<(Vec<f64>, Vec<f64>)>,
     /// Effect of each coefficient.
     pub modes: Vec<GpuMode>,
-    /// Whether there is a free phase, one number per illuminated sample, which adds to ψ_p: turns at the wavelength
-    /// [`free_wavelength_nm`](Self::free_wavelength_nm).
+    /// Whether there is a free phase, one number per illuminated sample, which adds to ψ_p: turns
+    /// at the wavelength [`free_wavelength_nm`](Self::free_wavelength_nm).
     pub free_phase: bool,
     /// Wavelength of the free phase, nm.
     pub free_wavelength_nm: f64,
@@ -212,8 +218,8 @@ impl GpuLayout {
         self.colours[0].wavelength_nm / self.colours[colour].wavelength_nm
     }
 
-    /// Numbers that result from an evaluation: objective, flux, background, and a derivative for each pose of each segment and each
-    /// smooth mode.
+    /// Numbers that result from an evaluation: objective, flux, background, and a derivative for
+    /// each pose of each segment and each smooth mode.
     #[cfg(feature = "opencl")]
     pub(super) fn outputs(&self) -> usize {
         3 + self.segments * self.poses() + self.smooth.len()

@@ -5,15 +5,17 @@ use super::layout::GpuLayout;
 use crate::Result;
 use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
-/// Bytes of the pupil arrays of a tile, per core of a CPU: a part of the core's share of the last-level cache, through
-/// which the images pass too.
+/// Bytes of the pupil arrays of a tile, per core of a CPU: a part of the core's share of the
+/// last-level cache, through which the images pass too.
 const TILE_BYTES_PER_CORE: usize = 4 << 20;
-/// Bytes of the arrays of a tile on a GPU: enough images to use all of it, and a small part of its memory.
+/// Bytes of the arrays of a tile on a GPU: enough images to use all of it, and a small part of its
+/// memory.
 const TILE_BYTES_GPU: usize = 256 << 20;
-/// Work-items that share a sum on a GPU, as many as run in lockstep: the work-groups of the pixels' kernels in `device/table.rs`, `SOLVERS` of
-/// `pixels.cl`.
+/// Work-items that share a sum on a GPU, as many as run in lockstep: the work-groups of the pixels'
+/// kernels in `device/table.rs`, `SOLVERS` of `pixels.cl`.
 const LOCKSTEP: usize = 32;
-/// Work-items of `focus` per core: so many that every core has at least one, however they are distributed.
+/// Work-items of `focus` per core: so many that every core has at least one, however they are
+/// distributed.
 const WORKERS_PER_CORE: usize = 3;
 
 /// `count` rounded up to whole groups; the results of the surplus images are not read.
@@ -21,7 +23,8 @@ pub(super) fn padded(count: usize) -> usize {
     count.next_multiple_of(GROUP)
 }
 
-/// Partition of the work into tiles, strips and work-items: few long work-items on a CPU, many short ones on a GPU.
+/// Partition of the work into tiles, strips and work-items: few long work-items on a CPU, many
+/// short ones on a GPU.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Partition {
     /// Images that are processed together by each stage; a multiple of `GROUP`.
@@ -112,9 +115,11 @@ pub(super) struct Counts {
     pub poses: usize,
     pub smooth: usize,
     pub colours: usize,
-    /// Pixels whose intensity is stored, in the padded layout; 0 where the image is the squared modulus of one field.
+    /// Pixels whose intensity is stored, in the padded layout; 0 where the image is the squared
+    /// modulus of one field.
     pub stored_pixels: usize,
-    /// Terms of the convolution with the response of the pixels, along one axis; 0 for pixels that are points.
+    /// Terms of the convolution with the response of the pixels, along one axis; 0 for pixels that
+    /// are points.
     pub terms: usize,
     /// Groups of `MODES_AT_ONCE` smooth modes.
     pub mode_groups: usize,
@@ -124,7 +129,8 @@ pub(super) struct Counts {
     pub chunks: usize,
     /// Number of samples with a free phase: all illuminated ones, or 0.
     pub free: usize,
-    /// Objective, flux, background, and a derivative for each pose of each segment and each smooth mode.
+    /// Objective, flux, background, and a derivative for each pose of each segment and each smooth
+    /// mode.
     pub outputs: usize,
 }
 
@@ -162,8 +168,8 @@ impl Counts {
     }
 }
 
-/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the diversity of the first wavelength,
-/// the basis, the response of the pixels.
+/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the
+/// diversity of the first wavelength, the basis, the response of the pixels.
 pub(super) struct ModelBuffers {
     /// At the first wavelength.
     pub diversity: Reals,
@@ -215,7 +221,8 @@ impl ModelBuffers {
     }
 }
 
-/// Buffers of the batch: images, uploaded once; coefficients, the free phase and results, transferred with every call.
+/// Buffers of the batch: images, uploaded once; coefficients, the free phase and results,
+/// transferred with every call.
 pub(super) struct BatchBuffers {
     pub data: Reals,
     pub weight: Reals,
@@ -229,7 +236,8 @@ pub(super) struct BatchBuffers {
     pub next: Buffer<i32>,
     /// `[image][smooth mode]`, turns of the first wavelength.
     pub coefficients: Reals,
-    /// `[image][illuminated sample]`: the free phase, turns, and after an evaluation the gradient by it.
+    /// `[image][illuminated sample]`: the free phase, turns, and after an evaluation the gradient
+    /// by it.
     pub free: Reals,
     pub result: Reals,
 }
@@ -252,8 +260,8 @@ impl BatchBuffers {
     }
 }
 
-/// Buffers between the stages that all wavelengths share: `psi` and `sums` to `mode_partial` for one tile, the others for the
-/// images processed at a time.
+/// Buffers between the stages that all wavelengths share: `psi` and `sums` to `mode_partial` for
+/// one tile, the others for the images processed at a time.
 pub(super) struct ScratchBuffers {
     /// Phase at the first wavelength, then the gradient by it.
     pub psi: Reals,

@@ -111,7 +111,8 @@ impl Stages {
         self.counts.capacity
     }
 
-    /// Uploads images into their slots, neighbours together: even a copy of a few bytes to a GPU takes some 7 µs (H100).
+    /// Uploads images into their slots, neighbours together: even a copy of a few bytes to a GPU
+    /// takes some 7 µs (H100).
     pub fn load(&mut self, images: &[(usize, FoldedImage)]) -> Result<()> {
         let (batch, pixels) = (&mut self.batch, self.shape.pixels());
         for run in images.chunk_by(|(one, _), (next, _)| *next == one + 1) {
@@ -132,9 +133,9 @@ impl Stages {
         self.counts.stored_pixels > 0
     }
 
-    /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
-    /// `fitted`, all photometry is known. `free` is the free phase of a model that has one; the gradient by it is written
-    /// into `slopes`.
+    /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the
+    /// slots `active`. Without `fitted`, all photometry is known. `free` is the free phase of a
+    /// model that has one; the gradient by it is written into `slopes`.
     pub fn evaluate(
         &mut self,
         active: &[usize],
@@ -144,7 +145,8 @@ impl Stages {
     ) -> Result<Vec<f64>> {
         let Counts { capacity, outputs, free: free_samples, .. } = self.counts;
         let mut results = vec![0.0; active.len() * outputs];
-        // A batch larger than the capacity (an image may be active more than once) is processed in several rounds.
+        // A batch larger than the capacity (an image may be active more than once) is processed in
+        // several rounds.
         for (round, active) in active.chunks(capacity).enumerate() {
             let (from, count) = (round * capacity, active.len());
             self.write_inputs(from, count, inputs)?;
@@ -191,7 +193,8 @@ impl Stages {
         self.project(first, images)
     }
 
-    /// The PSFs of at most a tile of images at the first of `inputs`: the focal field, folded, or the intensity where it is stored.
+    /// The PSFs of at most a tile of images at the first of `inputs`: the focal field, folded, or
+    /// the intensity where it is stored.
     pub fn focal(&mut self, count: usize, inputs: &Inputs) -> Result<Focal> {
         self.write_inputs(0, count, inputs)?;
         self.smooth_phase(0, count)?;
@@ -227,7 +230,8 @@ impl Stages {
         self.free_phase(first, images, FreePhaseStep::Add)
     }
 
-    /// From the phase to the focal field of a wavelength, whose intensity is added where it is stored.
+    /// From the phase to the focal field of a wavelength, whose intensity is added where it is
+    /// stored.
     fn field(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
         self.pupil_field(colour, first, images)?;
         self.transform(colour, images)?;
@@ -263,8 +267,8 @@ impl Stages {
         self.pixel_kernels.convolve.iter_mut().try_for_each(|kernel| kernel.launch(strips))
     }
 
-    // Kernels that process GROUP images together are launched for whole groups. Beyond `images` they process leftovers of an
-    // earlier tile (or zeros), and their results are not read.
+    // Kernels that process GROUP images together are launched for whole groups. Beyond `images`
+    // they process leftovers of an earlier tile (or zeros), and their results are not read.
 
     fn smooth_phase(&mut self, first: usize, images: usize) -> Result<()> {
         let (images, k) = (padded(images), &mut self.phase_kernels.smooth_phase);

@@ -41,8 +41,9 @@ fn psfs_of(layout: &GpuLayout) {
         for build in builds(&device) {
             let psf = GpuChain::with_build(&device, build, layout, 3).unwrap().psf(&c).unwrap();
             let worst = psf.iter().zip(&wanted).fold(0.0f64, |a, (h, w)| a.max((h - w).abs())) / peak;
-            // f32: 250 samples whose phases err by a few 1e-7 rad each (turns of up to 4 in 24 bits, times 2 pi) and
-            // whose signs are random: 1e-7 of the field at the peak, twice that of its square; 10 of it allowed.
+            // f32: 250 samples whose phases err by a few 1e-7 rad each (turns of up to 4 in 24
+            // bits, times 2 pi) and whose signs are random: 1e-7 of the field at the peak, twice
+            // that of its square; 10 of it allowed.
             let allowed = if build.precision == Precision::F32 { 2e-6 } else { 1e-12 };
             println!("{build:?}: PSF within {worst:.1e} of the peak");
             assert!(worst < allowed, "{build:?}: {worst:e} of the peak");
@@ -52,7 +53,8 @@ fn psfs_of(layout: &GpuLayout) {
 
 #[test]
 fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
-    // Out of order, one image twice, and more than the capacity of the chain, so that there are two rounds.
+    // Out of order, one image twice, and more than the capacity of the chain, so that there are two
+    // rounds.
     let active = [4, 0, 5, 2, 2, 1, 3];
     for layout in [scene(), tilted_scene(), free_scene(), camera_scene()] {
         agreement_in(&layout, &active, builds);
@@ -93,8 +95,9 @@ fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -
             chain.evaluate(&all, &coefficients(layout, count, &mut random)).unwrap();
             let mut slopes = vec![f64::NAN; free.len()];
             let found = chain.evaluate_free(active, &c, &free, &mut slopes).unwrap();
-            // Sums of 500 pixels and 250 samples of terms that err by 1e-7 (f32) or 1e-16 each: some 1e-6 or 1e-15 where
-            // signs are random. Residuals here are of the order of the image, so nothing cancels.
+            // Sums of 500 pixels and 250 samples of terms that err by 1e-7 (f32) or 1e-16 each:
+            // some 1e-6 or 1e-15 where signs are random. Residuals here are of the order of the
+            // image, so nothing cancels.
             let [close, closer] = if build.precision == Precision::F32 { [1e-5, 1e-5] } else { [1e-12, 1e-11] };
             for (i, wanted) in wanted.iter().enumerate() {
                 let gradient = &found.gradient[i * layout.modes.len()..(i + 1) * layout.modes.len()];
@@ -123,7 +126,8 @@ fn a_faint_star_on_a_bright_background_does_not_lose_accuracy() {
     let size = layout.pixels * layout.pixels;
     let c = coefficients(&layout, 3, &mut random);
     let images = images(&layout, 3, &mut random);
-    // 300 electrons of star on 50,000 per pixel: in f32 the data themselves would be rounded by 0.004.
+    // 300 electrons of star on 50,000 per pixel: in f32 the data themselves would be rounded by
+    // 0.004.
     let data: Vec<f64> = images.data.iter().map(|d| 5e4 + d / 130.0).collect();
     let photometry = [
         GpuPhotometry::FitBoth,
@@ -175,8 +179,8 @@ fn compare_with_single_images(layout: &GpuLayout) {
                 batch.iter().flat_map(|&i| free[i * illuminated..(i + 1) * illuminated].to_vec()).collect();
             let mut slopes = vec![f64::NAN; all_free.len()];
             let together = chain.evaluate_free(&batch, &all, &all_free, &mut slopes).unwrap();
-            // The same sums in the same order; only fused multiply-adds may differ: a few roundings, far below the errors of
-            // the test above.
+            // The same sums in the same order; only fused multiply-adds may differ: a few
+            // roundings, far below the errors of the test above.
             let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
             for (i, &image) in batch.iter().enumerate() {
                 let mut slopes_alone = vec![f64::NAN; illuminated];

@@ -8,8 +8,9 @@ use crate::imaging::chain::{Chain, Fallback, layout};
 use crate::imaging::gpu::{GpuChain, GpuLayout};
 use crate::imaging::{CpuChain, Exposure};
 
-/// Each command of a load, an evaluation, a replacement and another evaluation fails in turn, once or permanently: the
-/// results are those of the CPU. Every seventh command, unless `scripts/test --all` runs the test.
+/// Each command of a load, an evaluation, a replacement and another evaluation fails in turn, once
+/// or permanently: the results are those of the CPU. Every seventh command, unless
+/// `scripts/test --all` runs the test.
 #[test]
 fn no_failing_command_changes_a_result() {
     for info in test_devices() {
@@ -69,7 +70,8 @@ fn no_failing_command_changes_a_result() {
     }
 }
 
-/// A device selected by name is not replaced: its failure is returned, and the next call uses it again.
+/// A device selected by name is not replaced: its failure is returned, and the next call uses it
+/// again.
 #[test]
 fn named_device_fails_with_a_status_and_remains_usable() {
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {

@@ -2,7 +2,8 @@
 
 use super::*;
 
-/// Logarithms of the amplitudes of the segments: central differences, one by one, with a free phase.
+/// Logarithms of the amplitudes of the segments: central differences, one by one, with a free
+/// phase.
 #[test]
 fn the_gradient_in_the_amplitudes_is_exact() {
     let tilting = optics(12, 14, 1.9);
@@ -37,7 +38,8 @@ fn amplitudes_are_exact(optics: Arc<Optics>) {
         let gradient = at(&ln).1;
         let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         for segment in 0..3 {
-            // As in the modes' test: truncation h²/6 = 2e-11 of the third derivative, rounding 2e-16·J/h = 2e-11·J.
+            // As in the modes' test: truncation h²/6 = 2e-11 of the third derivative, rounding
+            // 2e-16·J/h = 2e-11·J.
             let h = 1e-5;
             let shifted = |by: f64| {
                 let mut ln = ln.clone();
@@ -47,14 +49,16 @@ fn amplitudes_are_exact(optics: Arc<Optics>) {
             let difference = (shifted(h) - shifted(-h)) / (2.0 * h);
             assert!((difference - gradient[segment]).abs() < 1e-6 * norm, "{difference} {gradient:?}");
         }
-        // A common amplitude of all segments is degenerate with a fitted flux, and not with a fixed one.
+        // A common amplitude of all segments is degenerate with a fitted flux, and not with a fixed
+        // one.
         let together: f64 = gradient.iter().sum();
         let fixed = matches!(exposure.photometry, Photometry::Fixed { .. });
         assert_eq!(together.abs() > 1e-9 * norm, fixed, "{together} of {norm}");
     }
 }
 
-/// Free phase: central differences along random directions, the evaluation without free phase, and single precision.
+/// Free phase: central differences along random directions, the evaluation without free phase, and
+/// single precision.
 #[test]
 fn the_gradient_in_the_free_phase_is_exact() {
     fn at<T: Polynomial>(
@@ -84,7 +88,8 @@ fn the_gradient_in_the_free_phase_is_exact() {
         for _ in 0..5 {
             let along = random(illuminated, 1.0, &mut rng);
             let slope: f64 = gradient.iter().zip(&along).map(|(g, v)| g * v).sum();
-            // As in the modes' test: truncation (2πh)²/6 = 7e-10 at 1e-5 turns, rounding 2e-16·J/h of about the same.
+            // As in the modes' test: truncation (2πh)²/6 = 7e-10 at 1e-5 turns, rounding 2e-16·J/h
+            // of about the same.
             let h = 1e-5;
             let shifted = |by: f64| -> f64 {
                 let free: Vec<f64> = free.iter().zip(&along).map(|(f, v)| f + by * v).collect();

@@ -1,4 +1,5 @@
-//! Subnormal numbers, of which an evaluation must have none: with those of the influence functions it took twice as long on a Xeon.
+//! Subnormal numbers, of which an evaluation must have none: with those of the influence functions
+//! it took twice as long on a Xeon.
 
 use super::*;
 use crate::modal::{Model, Recipe};
@@ -22,7 +23,8 @@ fn raised(work: impl FnOnce()) -> u32 {
     after & FLAGS
 }
 
-/// Karhunen-Loève modes of Keck's mirror, whose Gaussian influence functions fall below 1e-300 across the pupil.
+/// Karhunen-Loève modes of Keck's mirror, whose Gaussian influence functions fall below 1e-300
+/// across the pupil.
 fn evaluation_raises<T: super::super::phasor::Polynomial>() -> u32 {
     let settings = [("image.samples_per_lambda_over_d", "2"), ("image.pixels", "240"), ("pupil.samples", "90")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();

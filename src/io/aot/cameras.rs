@@ -1,4 +1,5 @@
-//! Images of the scoring cameras of a file of AOT, with their bad pixels and what the tables state of the instrument.
+//! Images of the scoring cameras of a file of AOT, with their bad pixels and what the tables state
+//! of the instrument.
 
 use super::read::{image, reals, row, texts};
 use super::version::check_version;
@@ -59,9 +60,10 @@ pub(super) fn with_images(file: &mut FitsReader) -> Result<Vec<AotCamera>> {
     Ok(cameras)
 }
 
-/// Reads the images of each scoring camera that has any, at least one, in the order of their table. Bad pixels are those of
-/// `BAD_PIXEL_MAP` and of the file `mask`. The cards of an image take precedence over the tables. Images without `BUNIT` are in
-/// counts, as the standard has them. The name of a channel is the card `CHANNEL`, else, of several cameras, the UID.
+/// Reads the images of each scoring camera that has any, at least one, in the order of their table.
+/// Bad pixels are those of `BAD_PIXEL_MAP` and of the file `mask`. The cards of an image take
+/// precedence over the tables. Images without `BUNIT` are in counts, as the standard has them. The
+/// name of a channel is the card `CHANNEL`, else, of several cameras, the UID.
 ///
 /// # Errors
 /// [`Error::File`](crate::Error::File), with what is missing.
@@ -100,7 +102,8 @@ fn facts(file: &mut FitsReader, camera: &AotCamera, in_counts: bool) -> Result<V
     let gain = if in_counts { number("GAIN")? } else { f64::NAN };
     // An image may be the sum of its co-additions, and the integration time that of one of them.
     let exposures_s = if coadds > 1.0 { vec![exposure_s, coadds * exposure_s] } else { vec![exposure_s] };
-    // The standard's unit of the read noise, electrons per second and pixel, is that of no read noise: files have electrons RMS.
+    // The standard's unit of the read noise, electrons per second and pixel, is that of no read
+    // noise: files have electrons RMS.
     let noises_e = if exposure_s > 0.0 { vec![noise_e, noise_e * exposure_s] } else { vec![noise_e] };
     let facts = [
         (Quantity::WavelengthNm, "WAVELENGTH", camera.wavelength_m, vec![camera.wavelength_m * 1e9], CAMERAS),

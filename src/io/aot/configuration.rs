@@ -1,5 +1,5 @@
-//! Free text of a file: the card `CONFIG`. The text of a scene is there, so that a file holds no extension that the standard does not
-//! know, and a program that rewrites the file keeps it.
+//! Free text of a file: the card `CONFIG`. The text of a scene is there, so that a file holds no
+//! extension that the standard does not know, and a program that rewrites the file keeps it.
 
 use crate::Result;
 use crate::io::read::FitsReader;
@@ -7,7 +7,8 @@ use crate::io::read::FitsReader;
 /// Card of the primary HDU: "free-form text that describes configuration parameters of the system".
 pub(super) const CONFIGURATION: &str = "CONFIG";
 
-/// `text` as the value of the card `CONFIG`. A card has no line breaks: they are written as `\n`, and the backslash as `\\`.
+/// `text` as the value of the card `CONFIG`. A card has no line breaks: they are written as `\n`,
+/// and the backslash as `\\`.
 pub fn configuration_card(text: &str) -> String {
     text.replace('\\', "\\\\").replace('\n', "\\n")
 }

@@ -1,6 +1,8 @@
-//! Layout of the tables of AOT 2.0.0: their columns in the standard's order, each with its kind and unit. Transcribed from aotpy 3.2.1.
+//! Layout of the tables of AOT 2.0.0: their columns in the standard's order, each with its kind and
+//! unit. Transcribed from aotpy 3.2.1.
 //!
-//! The tables of laser guide stars, pyramids and offload loops, which a file needs only where it has these, are not written.
+//! The tables of laser guide stars, pyramids and offload loops, which a file needs only where it
+//! has these, are not written.
 
 use Kind::{Integer, List, Real, Text};
 

@@ -1,5 +1,5 @@
-//! Cells of the tables of AOT, and what they refer to. A column that a file does not have is empty: other programs leave out what they
-//! do not know.
+//! Cells of the tables of AOT, and what they refer to. A column that a file does not have is empty:
+//! other programs leave out what they do not know.
 
 use crate::Result;
 use crate::io::layout::HduKind;
@@ -35,7 +35,8 @@ pub(super) fn lists(file: &mut FitsReader, table: &str, column: &str) -> Result<
 /// The index of the image to which a cell of `column` refers; `None` for an empty cell.
 ///
 /// # Errors
-/// [`Error::File`](crate::Error::File) for an image that the file does not have, or that is in another file.
+/// [`Error::File`](crate::Error::File) for an image that the file does not have, or that is in
+/// another file.
 pub(super) fn image(file: &FitsReader, cell: &str, column: &str) -> Result<Option<usize>> {
     if cell.is_empty() {
         return Ok(None);

@@ -1,4 +1,5 @@
-//! Slopes of the Shack-Hartmann sensor of a file of AOT, matched to the images of its scoring cameras; commands of its mirror.
+//! Slopes of the Shack-Hartmann sensor of a file of AOT, matched to the images of its scoring
+//! cameras; commands of its mirror.
 
 use super::cameras::{MAS_PER_RADIAN, exposure_s, with_images};
 use super::read::{image, lists, reals, row, text_card, texts};
@@ -13,8 +14,9 @@ const LOOPS: &str = "AOT_LOOPS";
 /// Slopes of the images of a camera.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MatchedSlopes {
-    /// `[image, slope]`: along x for every subaperture, row by row of the sensor's mask, then along y; mas, or without a unit as the
-    /// file has them. `None` where there are none, or they are left out.
+    /// `[image, slope]`: along x for every subaperture, row by row of the sensor's mask, then along
+    /// y; mas, or without a unit as the file has them. `None` where there are none, or they are
+    /// left out.
     pub slopes: Option<Array2<f64>>,
     /// Why slopes in the file are left out, as a sentence.
     pub left_out: Option<String>,
@@ -26,13 +28,16 @@ impl MatchedSlopes {
     }
 }
 
-/// Slopes for the images of the scoring camera `camera`, counted from 0 among those with images, which has `images` of them.
+/// Slopes for the images of the scoring camera `camera`, counted from 0 among those with images,
+/// which has `images` of them.
 ///
-/// Where images and measurements have times (`TIME_UID`, `TIMESTAMPS`), an image has the mean of the measurements from half an
-/// integration time before its time to half of one after it. Without times there is one measurement for each image.
+/// Where images and measurements have times (`TIME_UID`, `TIMESTAMPS`), an image has the mean of
+/// the measurements from half an integration time before its time to half of one after it. Without
+/// times there is one measurement for each image.
 ///
 /// # Errors
-/// [`Error::File`](crate::Error::File) for measurements whose shape contradicts their mask, an unknown unit, references without target.
+/// [`Error::File`](crate::Error::File) for measurements whose shape contradicts their mask, an
+/// unknown unit, references without target.
 pub fn slopes(file: &mut FitsReader, camera: usize, images: usize) -> Result<MatchedSlopes> {
     check_version(file)?;
     let cells = texts(file, SENSORS, "MEASUREMENTS")?;
@@ -80,8 +85,8 @@ pub fn slopes(file: &mut FitsReader, camera: usize, images: usize) -> Result<Mat
     }
 }
 
-/// The measurements `[frame, slope]` of a sensor, in the HDU `at`: all x, then all y, row by row of the mask; in mas where the file
-/// states the unit.
+/// The measurements `[frame, slope]` of a sensor, in the HDU `at`: all x, then all y, row by row of
+/// the mask; in mas where the file states the unit.
 fn measurements(file: &mut FitsReader, sensor: usize, at: usize) -> Result<Array2<f64>> {
     let cube: Array3<f64> = file.cube_at(at)?;
     let (frames, dimensions, subapertures) = cube.dim();
@@ -104,8 +109,9 @@ fn measurements(file: &mut FitsReader, sensor: usize, at: usize) -> Result<Array
     })
 }
 
-/// The place among the measured subapertures of each subaperture, row by row. The mask has, for each place of the grid, its number
-/// among the measured ones, −1 outside; without a mask they are measured row by row.
+/// The place among the measured subapertures of each subaperture, row by row. The mask has, for
+/// each place of the grid, its number among the measured ones, −1 outside; without a mask they are
+/// measured row by row.
 fn order(file: &mut FitsReader, sensor: usize, subapertures: usize) -> Result<Vec<usize>> {
     let cells = texts(file, SENSORS, "SUBAPERTURE_MASK")?;
     let Some(at) = image(file, &cells[sensor], "SUBAPERTURE_MASK")? else { return Ok((0..subapertures).collect()) };
@@ -149,8 +155,8 @@ fn mas_per_unit(file: &mut FitsReader, sensor: usize, at: usize) -> Result<Optio
     }
 }
 
-/// Times of the frames of the image `at`, s: those that its card names, else of the control loop of the sensor `sensor`. `None` where the
-/// file has none.
+/// Times of the frames of the image `at`, s: those that its card names, else of the control loop of
+/// the sensor `sensor`. `None` where the file has none.
 fn times_s(file: &mut FitsReader, at: usize, sensor: Option<usize>) -> Result<Option<Vec<f64>>> {
     let mut cell = text_card(file, at, TIME_REFERENCE)?;
     if let Some(sensor) = sensor.filter(|_| cell.is_empty()) {
@@ -207,10 +213,12 @@ fn means(
     Ok(slopes)
 }
 
-/// Commands of the mirror in the loop that has any, `[frame, actuator]`, nm, of the file's m; `None` where no loop has them.
+/// Commands of the mirror in the loop that has any, `[frame, actuator]`, nm, of the file's m;
+/// `None` where no loop has them.
 ///
 /// # Errors
-/// [`Error::File`](crate::Error::File) where several loops have commands, or for commands that are not 2-D.
+/// [`Error::File`](crate::Error::File) where several loops have commands, or for commands that are
+/// not 2-D.
 pub fn commands_nm(file: &mut FitsReader) -> Result<Option<Array2<f64>>> {
     check_version(file)?;
     let cells: Vec<String> = texts(file, LOOPS, "COMMANDS")?.into_iter().filter(|cell| !cell.is_empty()).collect();

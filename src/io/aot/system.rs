@@ -1,4 +1,5 @@
-//! What a file of AOT says of telescope, turbulence and loop, with the names of the images that it refers to.
+//! What a file of AOT says of telescope, turbulence and loop, with the names of the images that it
+//! refers to.
 
 use super::read::{image, lists, reals, row, text_card, texts};
 use super::version::check_version;
@@ -116,7 +117,8 @@ pub struct AotControl {
 /// Reads what `file` says of telescope, turbulence and loop.
 ///
 /// # Errors
-/// [`Error::File`](crate::Error::File) for references without target, and a version that is not known.
+/// [`Error::File`](crate::Error::File) for references without target, and a version that is not
+/// known.
 pub fn system(file: &mut FitsReader) -> Result<AotSystem> {
     check_version(file)?;
     let sensor = sensor(file)?;
@@ -144,7 +146,8 @@ fn values(file: &mut FitsReader, table: &str, column: &str, row: usize) -> Resul
     Ok(file.cube_at(at)?.into_iter().collect())
 }
 
-/// The first row of the image to which a cell of the first row of `table` refers, a time of several; none where it refers to none.
+/// The first row of the image to which a cell of the first row of `table` refers, a time of
+/// several; none where it refers to none.
 fn first_row(file: &mut FitsReader, table: &str, column: &str) -> Result<Vec<f64>> {
     let cell = texts(file, table, column)?.swap_remove(0);
     let Some(at) = image(file, &cell, column)? else { return Ok(Vec::new()) };

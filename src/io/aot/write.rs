@@ -71,7 +71,8 @@ impl AotTables {
     /// Adds a row to `table`. Columns that `cells` does not name are empty.
     ///
     /// # Errors
-    /// [`Error::Value`] for a table or a column that the standard does not have, or a cell of another kind.
+    /// [`Error::Value`] for a table or a column that the standard does not have, or a cell of
+    /// another kind.
     pub fn row(&mut self, table: &'static str, cells: Vec<(&'static str, Cell)>) -> Result<()> {
         let found = TABLES.iter().find(|known| known.name == table);
         let found = found.ok_or_else(|| Error::Value(format!("AOT has no table `{table}`")))?;
@@ -90,8 +91,8 @@ impl AotTables {
         Ok(())
     }
 
-    /// Writes the version, the AO mode (`SCAO`, …) and the configuration to the primary HDU of `file`, and then all tables. The images
-    /// to which they refer are added by the caller.
+    /// Writes the version, the AO mode (`SCAO`, …) and the configuration to the primary HDU of
+    /// `file`, and then all tables. The images to which they refer are added by the caller.
     ///
     /// # Errors
     /// Those of [`FitsWriter::card`] and [`FitsWriter::table`].
@@ -134,7 +135,8 @@ fn real(cell: Option<&Cell>) -> f64 {
     if let Some(Cell::Real(number)) = cell { *number } else { f64::NAN }
 }
 
-/// An integer; −32768, the null of aotpy's integer columns, where there is none. All integers of AOT are counts.
+/// An integer; −32768, the null of aotpy's integer columns, where there is none. All integers of
+/// AOT are counts.
 fn integer(cell: Option<&Cell>) -> i64 {
     if let Some(Cell::Integer(number)) = cell { *number } else { i64::from(i16::MIN) }
 }

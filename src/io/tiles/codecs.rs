@@ -31,9 +31,10 @@ fn signed(value: u64, width: usize) -> i64 {
     if width == 1 { (value & 0xff) as i64 } else { (value << unused) as i64 >> unused }
 }
 
-/// `count` integers of a Rice stream (R. White, in cfitsio's `ricecomp.c`): the first integer, then blocks of differences. A block
-/// starts with the number k + 1 of low bits that are written as they are: 0 for differences that are all 0, the largest number for
-/// differences that are written whole.
+/// `count` integers of a Rice stream (R. White, in cfitsio's `ricecomp.c`): the first integer, then
+/// blocks of differences. A block starts with the number k + 1 of low bits that are written as they
+/// are: 0 for differences that are all 0, the largest number for differences that are written
+/// whole.
 pub(super) fn rice(stream: &[u8], count: usize, width: usize, block: usize) -> Option<Vec<i64>> {
     let (k_bits, whole, bits) = match width {
         1 => (3, 7, 8),
@@ -41,7 +42,8 @@ pub(super) fn rice(stream: &[u8], count: usize, width: usize, block: usize) -> O
         4 => (5, 26, 32),
         _ => return None,
     };
-    // Each block has a number of bits: a stream that is shorter is damaged, and its pixels take no memory.
+    // Each block has a number of bits: a stream that is shorter is damaged, and its pixels take no
+    // memory.
     if (count.div_ceil(block) * k_bits as usize) > stream.len() * 8 {
         return None;
     }

@@ -24,7 +24,8 @@ struct Method {
 
 /// A file with `values`, compressed by cfitsio.
 fn compressed(values: &[f64], method: Method) -> Vec<u8> {
-    // cfitsio takes a descriptor of a tile that it has not written for 0: memory for the whole file, which is.
+    // cfitsio takes a descriptor of a tile that it has not written for 0: memory for the whole
+    // file, which is.
     let mut file = FitsHandle::create_in(1 << 20).unwrap();
     let (mut axes, mut first) = (AXES, [1_i64; 3]);
     // cfitsio compresses pixels of the image's own type only.
@@ -43,7 +44,8 @@ fn compressed(values: &[f64], method: Method) -> Vec<u8> {
         -64 => (&raw mut double).cast(),
         _ => std::ptr::null_mut(),
     };
-    // SAFETY: three axes and tile sizes; `bytes` holds as many numbers of type `code` as the axes say.
+    // SAFETY: three axes and tile sizes; `bytes` holds as many numbers of type `code` as the axes
+    // say.
     file.call(|file, status| unsafe {
         sys::fits_set_compression_type(file, method.compression as c_int, status);
         if let Some(mut tile) = method.tile {
@@ -144,7 +146,8 @@ fn real_pixels_are_those_that_cfitsio_reads() {
         for compression in [sys::GZIP_1, sys::GZIP_2] {
             let method = Method { bitpix, compression, tile: None, quantisation: (0.0, 0) };
             let ours = read(&compressed(&values, method), "").unwrap();
-            // Without quantisation cfitsio writes the number for an undefined pixel as it is, or as NaN.
+            // Without quantisation cfitsio writes the number for an undefined pixel as it is, or as
+            // NaN.
             let same = |(ours, value): (&f64, &f64)| ours == value || value.is_nan();
             assert!(ours.iter().zip(&values).all(same), "BITPIX {bitpix}, {compression}");
         }

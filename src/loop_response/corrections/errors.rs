@@ -11,13 +11,14 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
 pub struct CorrectableErrors<'a> {
     /// Piston of each segment, nm; none where the estimate has none.
     pub pistons_nm: &'a [f64],
-    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they are not corrected. With them the segments have
-    /// no common tip and tilt.
+    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they are not
+    /// corrected. With them the segments have no common tip and tilt.
     pub tilts_nm: &'a [f64],
     /// Covariance of pistons and tilts in turn, nm².
     pub segment_covariance_nm2: ArrayView2<'a, f64>,
-    /// Whether images hold little information on the plane through all pistons, as behind adaptive optics: it is then a block of its own,
-    /// which is left where its correction is not expected to lower the error.
+    /// Whether images hold little information on the plane through all pistons, as behind adaptive
+    /// optics: it is then a block of its own, which is left where its correction is not expected to
+    /// lower the error.
     pub has_uncertain_plane: bool,
     /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
     pub segment_limit_nm: f64,
@@ -29,8 +30,9 @@ pub struct CorrectableErrors<'a> {
     pub ncpa: NcpaModes<'a>,
     /// Whether a mirror takes NCPA. Without, they are left.
     pub has_ncpa_corrector: bool,
-    /// Reference slopes about which the loop moves its mirror by 1 nm of each NCPA mode, `[mode, slope]`, mas: turbulence blurs the spots of
-    /// lenslets, whose slopes then change less. `None` where no slopes were measured.
+    /// Reference slopes about which the loop moves its mirror by 1 nm of each NCPA mode,
+    /// `[mode, slope]`, mas: turbulence blurs the spots of lenslets, whose slopes then change less.
+    /// `None` where no slopes were measured.
     pub reference_mas_per_nm: Option<&'a Array2<f64>>,
 }
 
@@ -46,12 +48,14 @@ pub enum NcpaModes<'a> {
 pub(super) struct Decision {
     /// Correction of pistons, tips, tilts and NCPA in turn.
     pub(super) correction: Correction,
-    /// Pistons, tips and tilts, each with its error bar, nm, without the mean or the plane that no correction changes.
+    /// Pistons, tips and tilts, each with its error bar, nm, without the mean or the plane that no
+    /// correction changes.
     pub(super) segments_nm: Vec<[f64; 2]>,
 }
 
 impl CorrectableErrors<'_> {
-    /// What `policy` corrects of pistons, tips, tilts and NCPA in turn, of a mirror of these segments.
+    /// What `policy` corrects of pistons, tips, tilts and NCPA in turn, of a mirror of these
+    /// segments.
     ///
     /// # Errors
     /// Those of [`correction`].
@@ -97,8 +101,9 @@ impl CorrectableErrors<'_> {
         }
     }
 
-    /// Projection of the pistons on what may be corrected: without their mean, and without the plane where it is left. Segments with
-    /// tilts have no common motion, and a plane through their pistons alone is a shape of the whole mirror.
+    /// Projection of the pistons on what may be corrected: without their mean, and without the
+    /// plane where it is left. Segments with tilts have no common motion, and a plane through their
+    /// pistons alone is a shape of the whole mirror.
     fn projection(&self, policy: &CorrectionPolicy, segments: &[Segment]) -> Array2<f64> {
         let count = segments.len();
         if !self.tilts_nm.is_empty() {
@@ -110,8 +115,9 @@ impl CorrectableErrors<'_> {
         projection_without(count, if is_left { &directions } else { mean })
     }
 
-    /// Whether the components of the pistons along `directions` are beyond the deadband, all together, and their correction is expected to lower the
-    /// error: with gain g and error bars of the variance P in all, g·(2 − g)·|m|² > 2·g·P (Stein 1981, as in [`correction`]).
+    /// Whether the components of the pistons along `directions` are beyond the deadband, all
+    /// together, and their correction is expected to lower the error: with gain g and error bars of
+    /// the variance P in all, g·(2 − g)·|m|² > 2·g·P (Stein 1981, as in [`correction`]).
     fn is_worth_correcting(&self, policy: &CorrectionPolicy, directions: &[Array1<f64>]) -> bool {
         let pistons_nm = ArrayView1::from(self.pistons_nm);
         let count = pistons_nm.len();
@@ -160,11 +166,13 @@ mod tests {
             errors.correction(&CorrectionPolicy::default(), &segments).unwrap()
         };
         let whole = along(&Array1::from(pistons_nm.clone()));
-        // 77 nm in all. Beside error bars of 5 nm along both directions it is corrected, but for pistons within the deadband.
+        // 77 nm in all. Beside error bars of 5 nm along both directions it is corrected, but for
+        // pistons within the deadband.
         for is_uncertain in [true, false] {
             assert!((along(&found(5.0, is_uncertain).coefficients_nm) / whole - 1.0).abs() < 0.2);
         }
-        // Beside 60 nm, of which twice the variance is 120² in all, it is left as it is, and the rest is corrected.
+        // Beside 60 nm, of which twice the variance is 120² in all, it is left as it is, and the
+        // rest is corrected.
         let left = found(60.0, true);
         assert!(along(&left.coefficients_nm) < 1e-9 && left.held.is_empty(), "{left:?}");
     }

@@ -12,10 +12,11 @@ use std::path::Path;
 const TEXT: &str = "txt";
 
 impl Corrections {
-    /// Writes the corrections: as text for a path that ends in `.txt`, else as FITS with the table `SEGMENTS`, where there is a mirror
-    /// `ACTUATORS`, where there is a loop `REFERENCE`, where the scene describes controllers `SEGMENT_COMMANDS` and
-    /// `ACTUATOR_COMMANDS`, with NCPA modes `NCPA`, and `WARNINGS`. Columns `HELD` say why a mode stays; cards have the policy and the expected
-    /// drop of the squared error.
+    /// Writes the corrections: as text for a path that ends in `.txt`, else as FITS with the table
+    /// `SEGMENTS`, where there is a mirror `ACTUATORS`, where there is a loop `REFERENCE`, where
+    /// the scene describes controllers `SEGMENT_COMMANDS` and `ACTUATOR_COMMANDS`, with NCPA modes
+    /// `NCPA`, and `WARNINGS`. Columns `HELD` say why a mode stays; cards have the policy and the
+    /// expected drop of the squared error.
     ///
     /// # Errors
     /// [`crate::Error::File`] where the file cannot be written.
@@ -95,7 +96,8 @@ impl Corrections {
         self.warnings.iter().chain(&self.estimate_warnings)
     }
 
-    /// The commands as text: the warnings as comments, and a line with the name of each channel and what to add to it.
+    /// The commands as text: the warnings as comments, and a line with the name of each channel and
+    /// what to add to it.
     fn text(&self) -> String {
         let mut text = String::from("# Corrections by cophase: what to add to each channel.\n");
         self.sentences().iter().for_each(|sentence| text += &format!("# {sentence}\n"));
@@ -162,7 +164,8 @@ impl Corrections {
         sentences
     }
 
-    /// Increments of the tips (axis 0) or tilts (axis 1) of all segments, and their estimates; `None` where there are none.
+    /// Increments of the tips (axis 0) or tilts (axis 1) of all segments, and their estimates;
+    /// `None` where there are none.
     fn tilts_of_axis(&self, axis: usize) -> Option<(&[f64], &[[f64; 2]])> {
         let count = self.tilts_nm.len() / 2;
         let of_axis = axis * count..(axis + 1) * count;

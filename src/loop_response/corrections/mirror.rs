@@ -10,8 +10,8 @@ use crate::scene::System;
 use crate::telescope::Telescope;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
-/// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
-/// pupil. The mirror is subtracted from the wavefront.
+/// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the
+/// NCPA `ncpa_nm`: least squares over the pupil. The mirror is subtracted from the wavefront.
 pub(super) fn mirror_commands(
     scene: &System,
     telescope: &Telescope,
@@ -37,8 +37,9 @@ fn without_pointing(pupil: &Pupil, samples: &Samples, map_nm: &Array2<f64>) -> R
     Ok(samples.indices.iter().map(|&at| flat_nm[[at / columns, at % columns]]).collect())
 }
 
-/// Increments of the sensor's reference slopes with which the loop puts the opposite of the NCPA `ncpa_nm` on the mirror, mas, by the response of
-/// the slopes for 1 nm of each mode, `[mode, slope]`.
+/// Increments of the sensor's reference slopes with which the loop puts the opposite of the NCPA
+/// `ncpa_nm` on the mirror, mas, by the response of the slopes for 1 nm of each mode,
+/// `[mode, slope]`.
 pub(super) fn reference_slopes(response_mas: &Array2<f64>, ncpa_nm: &[f64]) -> Vec<f64> {
     // A zero of either sign is written as 0.
     (0.0 - ArrayView1::from(ncpa_nm).dot(response_mas)).to_vec()

@@ -4,7 +4,8 @@ use crate::modes::Samples;
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array1, ArrayView1};
 
-/// Least weight of illuminated neighbours in a bilinear interpolation: with less the nearest sample is taken.
+/// Least weight of illuminated neighbours in a bilinear interpolation: with less the nearest sample
+/// is taken.
 const MIN_WEIGHT: f64 = 1e-3;
 
 /// Interpolates a wavefront from the retrieved samples to those of the sensor.
@@ -13,8 +14,8 @@ pub(super) fn interpolated(interpolation: &[[(u32, f64); 4]], wavefront_nm: Arra
     interpolation.iter().map(at).collect()
 }
 
-/// Bilinear interpolation between illuminated samples: the weights of dark ones go to the others, and where all are dark the
-/// nearest illuminated sample is taken.
+/// Bilinear interpolation between illuminated samples: the weights of dark ones go to the others,
+/// and where all are dark the nearest illuminated sample is taken.
 pub(super) fn interpolation(samples: &IlluminatedSamples, fine: &Samples) -> Vec<[(u32, f64); 4]> {
     let n = samples.samples;
     let mut sample_at = vec![None; n * n];

@@ -7,13 +7,15 @@ use crate::retrieval::tests::scene;
 use crate::source::{Truth, stream};
 use ndarray::Axis;
 
-/// NCPA of which the mirror can make a part only: Zernike polynomials of high order, nm RMS over the circle.
+/// NCPA of which the mirror can make a part only: Zernike polynomials of high order, nm RMS over
+/// the circle.
 const NCPA_NM: [(usize, f64); 3] = [(24, 20.0), (62, 20.0), (80, 20.0)];
 
 #[test]
 #[ignore = "merge: 7 s"]
 fn loop_about_reference_slopes_nearly_makes_the_nearest_shape() {
-    // Steps between segments would lower the gain of the quad cells that see them, and there is no turbulence to blur spots.
+    // Steps between segments would lower the gain of the quad cells that see them, and there is no
+    // turbulence to blur spots.
     let even = ["aberrations.segment_piston_rms_nm", "aberrations.segment_tip_tilt_rms_nm"].map(|key| (key, "0"));
     let scene = scene().with(&even).unwrap().system().with(undisturb).unwrap();
     let telescope = Telescope::new(&scene).unwrap();
@@ -59,8 +61,8 @@ fn loop_about_reference_slopes_nearly_makes_the_nearest_shape() {
         "off the nearest shape of {:.1} nm by {of_the_mirror_nm:.2} nm about its slopes, {of_the_ncpa_nm:.2} about those of the NCPA",
         nearest_nm.std(0.0)
     );
-    // The loop leaves out the modes that its reconstructor filters, and slopes are averages over subapertures: 2.6 nm, where the slopes of the
-    // NCPA lead 9.6 nm away.
+    // The loop leaves out the modes that its reconstructor filters, and slopes are averages over
+    // subapertures: 2.6 nm, where the slopes of the NCPA lead 9.6 nm away.
     assert!(of_the_mirror_nm < 0.1 * nearest_nm.std(0.0), "{of_the_mirror_nm}");
     assert!(of_the_mirror_nm < 0.5 * of_the_ncpa_nm, "{of_the_mirror_nm} {of_the_ncpa_nm}");
 }

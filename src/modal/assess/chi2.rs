@@ -5,7 +5,8 @@ use crate::imaging::{Exposure, Photometry};
 /// Independent partial sums, so that they are vectorised.
 const LANES: usize = 8;
 
-/// Variance of a pixel whose expected signal is `electrons`: photon noise, and the floor (infinite for a bad pixel).
+/// Variance of a pixel whose expected signal is `electrons`: photon noise, and the floor (infinite
+/// for a bad pixel).
 pub(in crate::modal) fn pixel_variance(electrons: f64, floor_variance_e2: f64) -> f64 {
     electrons.max(0.0) + floor_variance_e2
 }
@@ -15,7 +16,8 @@ pub(in crate::modal) fn pixel_variance(electrons: f64, floor_variance_e2: f64) -
 pub(crate) struct ReducedChi2 {
     /// χ² per degree of freedom.
     pub(crate) value: f64,
-    /// Smallest expectation: 1 where all variances are stated, the stated part of them on average otherwise.
+    /// Smallest expectation: 1 where all variances are stated, the stated part of them on average
+    /// otherwise.
     pub(crate) least: f64,
     /// Standard deviation.
     pub(crate) scatter: f64,
@@ -37,10 +39,11 @@ impl ReducedChi2 {
 
     /// χ² of `exposure` under the model with this PSF, flux and background.
     ///
-    /// A pixel with μ expected electrons and the floor f has the variance v = μ + f, of which μ + s f are stated
-    /// ([`PreparedFrame::stated_share`](crate::modal::prepare::PreparedFrame::stated_share)). Its share of χ² has the expectation
-    /// (μ + s f)/v or more, and the variance 2 + μ/v²: that of a square of a normal variable, and the excess kurtosis of μ
-    /// Poisson electrons.
+    /// A pixel with μ expected electrons and the floor f has the variance v = μ + f, of which μ + s
+    /// f are stated
+    /// ([`PreparedFrame::stated_share`](crate::modal::prepare::PreparedFrame::stated_share)). Its
+    /// share of χ² has the expectation (μ + s f)/v or more, and the variance 2 + μ/v²: that of a
+    /// square of a normal variable, and the excess kurtosis of μ Poisson electrons.
     pub(in crate::modal) fn new(
         psf: &[f64],
         (flux_e, background_e): (f64, f64),

@@ -1,4 +1,5 @@
-//! Fisher matrix of an image (the Gauss-Newton matrix JᵀWJ), and the covariance of the modes that follows from it.
+//! Fisher matrix of an image (the Gauss-Newton matrix JᵀWJ), and the covariance of the modes that
+//! follows from it.
 
 use crate::Result;
 use crate::imaging::{CpuChain, Photometry};
@@ -6,13 +7,14 @@ use crate::modal::solve::gauss_newton::{NuisanceShares, Nuisances, products, row
 use crate::optimize::Metric;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
-/// Eigenvalues below this fraction of the largest are null directions (global piston: exactly null up to rounding,
-/// about 1e-15; the weakest real direction of 36 pistons and 66 modes has 1e-3).
+/// Eigenvalues below this fraction of the largest are null directions (global piston: exactly null
+/// up to rounding, about 1e-15; the weakest real direction of 36 pistons and 66 modes has 1e-3).
 const NULL_FLOOR: f64 = 1e-11;
 
-/// The fraction of the largest eigenvalue below which an eigenvalue of a matrix of `modes` directions, summed over `pixels`, is
-/// null. Rounding leaves some ε·√pixels in each entry of a sum over pixels, and so modes times that in an eigenvalue at most:
-/// 2,468 modes of 256×256 pixels gave −2e-11, for which a fixed floor of 1e-11 reports an error.
+/// The fraction of the largest eigenvalue below which an eigenvalue of a matrix of `modes`
+/// directions, summed over `pixels`, is null. Rounding leaves some ε·√pixels in each entry of a sum
+/// over pixels, and so modes times that in an eigenvalue at most: 2,468 modes of 256×256 pixels
+/// gave −2e-11, for which a fixed floor of 1e-11 reports an error.
 pub(in crate::modal) fn null_floor(modes: usize, pixels: usize) -> f64 {
     NULL_FLOOR.max(modes as f64 * (pixels as f64).sqrt() * f64::EPSILON)
 }
@@ -28,8 +30,9 @@ pub(in crate::modal) struct Sensitivity {
 }
 
 impl Sensitivity {
-    /// Computed at `coefficients_nm`, for a star of `flux_e` and the given weights. `variance_e2` is that of the pixels (infinite
-    /// where the weight is 0), or `None` where the weights are the inverse variances. `tile_bytes` of derivatives at a time.
+    /// Computed at `coefficients_nm`, for a star of `flux_e` and the given weights. `variance_e2`
+    /// is that of the pixels (infinite where the weight is 0), or `None` where the weights are the
+    /// inverse variances. `tile_bytes` of derivatives at a time.
     pub(in crate::modal) fn at(
         reference: &CpuChain<f64>,
         coefficients_nm: ArrayView1<f64>,
@@ -59,8 +62,9 @@ impl Sensitivity {
         Self { fisher: shares.project_out(fisher), noise, floor: null_floor(linear.modes(), weight.len()) }
     }
 
-    /// Covariance of the modes, nm². Where the weights are the inverse variances it is the inverse of `fisher`; otherwise
-    /// F⁻¹ (Jᵀ W V W J) F⁻¹. Null directions carry no error: the fit does not move along them.
+    /// Covariance of the modes, nm². Where the weights are the inverse variances it is the inverse
+    /// of `fisher`; otherwise F⁻¹ (Jᵀ W V W J) F⁻¹. Null directions carry no error: the fit does
+    /// not move along them.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes the image.
@@ -82,7 +86,8 @@ pub(in crate::modal) fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Resu
     Ok(times_transposed(root.view(), root.view()))
 }
 
-/// R, `[mode, direction]`, with R·Rᵀ the [`pseudo_inverse`]. Its columns span the directions that are not null.
+/// R, `[mode, direction]`, with R·Rᵀ the [`pseudo_inverse`]. Its columns span the directions that
+/// are not null.
 ///
 /// # Errors
 /// As [`pseudo_inverse`].
@@ -104,12 +109,14 @@ pub(in crate::modal) fn without(information: Array2<f64>, directions: &Array2<f6
     })
 }
 
-/// Number of directions of `information` whose eigenvalue is above `floor`, as [`pseudo_inverse`] has it; 0 where none is.
+/// Number of directions of `information` whose eigenvalue is above `floor`, as [`pseudo_inverse`]
+/// has it; 0 where none is.
 pub(in crate::modal) fn rank(information: &Array2<f64>, floor: f64) -> usize {
     scaled_metric(information, floor).map_or(0, |(metric, _)| metric.rank())
 }
 
-/// Metric of a matrix that is scaled to a unit diagonal, so that "null" does not depend on the units of a mode, and the scale.
+/// Metric of a matrix that is scaled to a unit diagonal, so that "null" does not depend on the
+/// units of a mode, and the scale.
 fn scaled_metric(matrix: &Array2<f64>, floor: f64) -> Result<(Metric, Array1<f64>)> {
     let scale = matrix.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
     let scaled = matrix * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));

@@ -1,9 +1,11 @@
-//! χ² of the mean residual of many images: what each of them hides in its noise and all of them share.
+//! χ² of the mean residual of many images: what each of them hides in its noise and all of them
+//! share.
 //!
-//! The residuals r of N images of one wavefront, in standard deviations of their pixels, have at each pixel a mean whose
-//! variance is 1/N. So N·mean(r)² per degree of freedom is 1 where the model is right, and an error of the model that raises the
-//! χ² of one image to 1 + e raises it to 1 + N·e. It does not average out: error bars are those of the noise, scaled by this χ²
-//! as those of a single image are by its own.
+//! The residuals r of N images of one wavefront, in standard deviations of their pixels, have at
+//! each pixel a mean whose variance is 1/N. So N·mean(r)² per degree of freedom is 1 where the
+//! model is right, and an error of the model that raises the χ² of one image to 1 + e raises it to
+//! 1 + N·e. It does not average out: error bars are those of the noise, scaled by this χ² as those
+//! of a single image are by its own.
 
 use crate::modal::assess::chi2::nuisances;
 use crate::modal::assess::residual::variance;
@@ -17,15 +19,16 @@ use crate::statistics::median;
 use ndarray::ArrayView1;
 use rayon::prelude::*;
 
-/// Reduced χ² of the mean residual up to which error bars are those of noise and scatter. Over 9,000 pixels its scatter is
-/// 0.015, over a few hundred 0.1; what is below changes an error bar by 5 % at most.
+/// Reduced χ² of the mean residual up to which error bars are those of noise and scatter. Over
+/// 9,000 pixels its scatter is 0.015, over a few hundred 0.1; what is below changes an error bar by
+/// 5 % at most.
 pub(in crate::modal) const EXPLAINED: f64 = 1.1;
-/// Median reduced χ² of the images from which on they are those of a wavefront that changes, or of a wrong scene: no error that
-/// all images share, and the error bars are those of their scatter.
+/// Median reduced χ² of the images from which on they are those of a wavefront that changes, or of
+/// a wrong scene: no error that all images share, and the error bars are those of their scatter.
 const MAX_TYPICAL_CHI2: f64 = 2.0;
 
-/// Reduced χ² of the mean residual of the images `used`; that of one image is its own. 1 where the median χ² is above 2, or
-/// without a noise model.
+/// Reduced χ² of the mean residual of the images `used`; that of one image is its own. 1 where the
+/// median χ² is above 2, or without a noise model.
 pub(in crate::modal) fn mean_residual_chi2(
     estimator: &ModalFitter,
     prepared: &[PreparedFrame],
@@ -59,7 +62,8 @@ fn chi2(estimator: &ModalFitter, prepared: &[PreparedFrame], minima: &[Minimum],
         }
         sums
     };
-    // In parts that do not depend on the number of threads, so that neither do the bits of the result.
+    // In parts that do not depend on the number of threads, so that neither do the bits of the
+    // result.
     let parts: Vec<Vec<(f64, f64)>> = used.par_chunks(SEQUENCE).map(sum_of).collect();
     let (mut chi2, mut good) = (0.0, 0usize);
     for pixel in 0..pixels {

@@ -13,7 +13,8 @@ pub(in crate::modal) fn variance(psf: &[f64], minimum: &Minimum, floor_variance_
     expected.zip(floor_variance_e2).map(|(electrons, &floor)| pixel_variance(electrons, floor)).collect()
 }
 
-/// Sets the weights of an exposure to the inverse variances under the model with this PSF, flux and background.
+/// Sets the weights of an exposure to the inverse variances under the model with this PSF, flux and
+/// background.
 pub(in crate::modal) fn reweigh(
     exposure: &mut Exposure,
     psf: &[f64],

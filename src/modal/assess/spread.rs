@@ -1,5 +1,5 @@
-//! Fisher and covariance matrices of the images of a call. Images of one static wavefront have nearly the same Fisher matrix and
-//! share it, because one takes as long as a hundred evaluations.
+//! Fisher and covariance matrices of the images of a call. Images of one static wavefront have
+//! nearly the same Fisher matrix and share it, because one takes as long as a hundred evaluations.
 
 use crate::Result;
 use crate::modal::assess::fisher::Sensitivity;
@@ -11,10 +11,11 @@ use crate::scene::Weighting;
 use ndarray::{Array2, ArrayView1};
 use rayon::prelude::*;
 
-/// Wavefronts that differ by less than this, in waves RMS over the modes, share a Fisher matrix: 0.02 rad change an error bar by
-/// about 2 % at the most.
+/// Wavefronts that differ by less than this, in waves RMS over the modes, share a Fisher matrix:
+/// 0.02 rad change an error bar by about 2 % at the most.
 const ALIKE_WAVES: f64 = 0.003;
-/// Fluxes that differ by less than this fraction do, too: an error bar goes as the flux to the power −½ to −1.
+/// Fluxes that differ by less than this fraction do, too: an error bar goes as the flux to the
+/// power −½ to −1.
 const ALIKE_FLUX: f64 = 0.02;
 
 /// Fisher and covariance matrices of the images of a call.
@@ -26,8 +27,9 @@ pub(in crate::modal) struct Spread {
 }
 
 impl Spread {
-    /// Computes the matrices of some `images` among the minima of `prepared`; afterwards an image is named by its place in
-    /// `images`. `variance_e2` is that of the pixels of each under its fitted model.
+    /// Computes the matrices of some `images` among the minima of `prepared`; afterwards an image
+    /// is named by its place in `images`. `variance_e2` is that of the pixels of each under its
+    /// fitted model.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes an image.

@@ -19,13 +19,15 @@ use ndarray::{Array2, Axis};
 pub enum Status {
     /// Fitted, and the model explains it.
     Ok,
-    /// Fitted, but the residual is larger than the noise (the modes do not span the wavefront, or the model is wrong), or smaller
-    /// (the image is not in electrons, was smoothed or averaged, or its stated noise is too large): χ² is outside
-    /// [`ImageReport::explained_chi2`]. Where it is larger, error bars are scaled up by √χ²; those of a sequence are from the
-    /// scatter between its images.
+    /// Fitted, but the residual is larger than the noise (the modes do not span the wavefront, or
+    /// the model is wrong), or smaller (the image is not in electrons, was smoothed or averaged, or
+    /// its stated noise is too large): χ² is outside [`ImageReport::explained_chi2`]. Where it is
+    /// larger, error bars are scaled up by √χ²; those of a sequence are from the scatter between
+    /// its images.
     Misfit,
-    /// The residual is so large that the fit is probably in a wrong minimum. Among eight images or more it must also be an
-    /// outlier: turbulence that the modes do not span leaves the same residual in every image.
+    /// The residual is so large that the fit is probably in a wrong minimum. Among eight images or
+    /// more it must also be an outlier: turbulence that the modes do not span leaves the same
+    /// residual in every image.
     WrongMinimum,
     /// The optimiser stopped before it converged.
     NotConverged(StopReason),
@@ -67,30 +69,36 @@ impl Status {
     }
 }
 
-/// Standard deviations of χ² from its expectation at which a fit is called a misfit. With 9,000 pixels one is 0.015. A right
-/// model is beyond five in one of three million images.
+/// Standard deviations of χ² from its expectation at which a fit is called a misfit. With 9,000
+/// pixels one is 0.015. A right model is beyond five in one of three million images.
 const SIGNIFICANT: f64 = 5.0;
-/// Standard deviations at which another minimum is looked for, which costs a fit: a right one of 1,000 is beyond. A minimum with a segment half a
-/// wave off has 1.08 to 1.15 at a peak S/N of 30, five to ten standard deviations.
+/// Standard deviations at which another minimum is looked for, which costs a fit: a right one of
+/// 1,000 is beyond. A minimum with a segment half a wave off has 1.08 to 1.15 at a peak S/N of 30,
+/// five to ten standard deviations.
 const SUSPICIOUS: f64 = 3.0;
-/// Relative error of the band-limited model, RMS: a bound of what χ² shows on nominal scenes of `keck-artificial`, whose excess
-/// over 1 is 0.04 at a peak S/N of 500 and 0.20 at 1,000 (4e-4 of the signal).
+/// Relative error of the band-limited model, RMS: a bound of what χ² shows on nominal scenes of
+/// `keck-artificial`, whose excess over 1 is 0.04 at a peak S/N of 500 and 0.20 at 1,000 (4e-4 of
+/// the signal).
 const MODEL_ERROR: f64 = 5e-4;
-/// Relative error of a coarser model: 64 samples across seven segments have an excess of 0.08 at a peak S/N of 100 (3e-3 of the signal).
+/// Relative error of a coarser model: 64 samples across seven segments have an excess of 0.08 at a
+/// peak S/N of 100 (3e-3 of the signal).
 const COARSE_MODEL_ERROR: f64 = 4e-3;
-/// Largest excess of χ² over its expectation that is put down to a coarser model, and to any model: beyond, it is not good enough for the light.
-/// Up to the second error bars scaled by √χ² are within 15 % of those of the noise.
+/// Largest excess of χ² over its expectation that is put down to a coarser model, and to any model:
+/// beyond, it is not good enough for the light. Up to the second error bars scaled by √χ² are
+/// within 15 % of those of the noise.
 const MODEL_EXCESS: [f64; 2] = [0.1, 0.3];
-/// Least fraction of the expectation that is accepted. It matters only for a handful of photons, whose χ² scatters by more than
-/// its expectation; an image that was normalised to a sum of 1 has 1e-9 of it or less.
+/// Least fraction of the expectation that is accepted. It matters only for a handful of photons,
+/// whose χ² scatters by more than its expectation; an image that was normalised to a sum of 1 has
+/// 1e-9 of it or less.
 const LEAST_FRACTION: f64 = 0.01;
-/// Reduced χ² above which a wrong minimum is suspected: a basis that misses part of the NCPA gives 17 at a peak SNR of
-/// 500, wrong minima 900 to 5,000.
+/// Reduced χ² above which a wrong minimum is suspected: a basis that misses part of the NCPA gives
+/// 17 at a peak SNR of 500, wrong minima 900 to 5,000.
 const WRONG_MINIMUM: f64 = 300.0;
 
-/// Least square of a star's signal-to-noise ratio over all pixels, per parameter of the fit. In a linear fit pure noise reaches 1; a
-/// nonlinear fit finds the aberrations whose image is most similar to the noise, and reaches 7 to 8 (Keck, 149 parameters). A star of
-/// a peak S/N of 5 has 200 there.
+/// Least square of a star's signal-to-noise ratio over all pixels, per parameter of the fit. In a
+/// linear fit pure noise reaches 1; a nonlinear fit finds the aberrations whose image is most
+/// similar to the noise, and reaches 7 to 8 (Keck, 149 parameters). A star of a peak S/N of 5 has
+/// 200 there.
 const FAINT: f64 = 12.0;
 
 /// The interval in which the model explains a χ².
@@ -115,7 +123,8 @@ pub struct ImageReport {
     pub evaluations: usize,
     /// χ² per degree of freedom; NaN for an image that could not be used.
     pub reduced_chi2: f64,
-    /// Smallest and largest χ² per degree of freedom that noise explains; NaN for an image that no modes were fitted to.
+    /// Smallest and largest χ² per degree of freedom that noise explains; NaN for an image that no
+    /// modes were fitted to.
     pub explained_chi2: [f64; 2],
     /// Largest χ² per degree of freedom that noise and the error of a finely sampled model explain.
     pub(crate) expected_chi2: f64,
@@ -125,8 +134,8 @@ pub struct ImageReport {
     pub flux_e: f64,
     /// Background, electrons per pixel of the frame.
     pub background_e: f64,
-    /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the pupil; NaN for an image that no modes
-    /// were fitted to.
+    /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the
+    /// pupil; NaN for an image that no modes were fitted to.
     pub tip_tilt_nm: [f64; 2],
     /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
@@ -214,8 +223,8 @@ pub(in crate::modal) fn assess_all(
     reports
 }
 
-/// Corrects the statuses of a sequence: a large residual that all images share is from turbulence that the modes do not span; only
-/// an outlier is a wrong minimum.
+/// Corrects the statuses of a sequence: a large residual that all images share is from turbulence
+/// that the modes do not span; only an outlier is a wrong minimum.
 pub(in crate::modal) fn assess_together(reports: &mut [ImageReport]) {
     let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();
     if converged.len() < SEQUENCE {
@@ -271,17 +280,20 @@ pub(in crate::modal) fn assess(
     }
 }
 
-/// Images that are combined, and images that the clipped mean leaves out; as places in the list that was given.
+/// Images that are combined, and images that the clipped mean leaves out; as places in the list
+/// that was given.
 pub(in crate::modal) struct Selection {
     pub(in crate::modal) used: Vec<usize>,
     pub(in crate::modal) clipped: Vec<usize>,
 }
 
 impl Selection {
-    /// Selects among images with these reports and coefficients (`[image, mode]`, in the order of the reports).
+    /// Selects among images with these reports and coefficients (`[image, mode]`, in the order of
+    /// the reports).
     ///
-    /// Of up to seven images that converged, those with the best kind of status are used in every combination. From eight
-    /// on, all that converged are used; a clipped mean leaves out outliers of χ² and of the coefficients.
+    /// Of up to seven images that converged, those with the best kind of status are used in every
+    /// combination. From eight on, all that converged are used; a clipped mean leaves out outliers
+    /// of χ² and of the coefficients.
     pub(in crate::modal) fn new(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
         let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();
         if converged.len() < SEQUENCE {
@@ -299,8 +311,9 @@ impl Selection {
     }
 }
 
-/// Which of a few fits are used: those that converged to a plausible minimum; where there is none, suspected wrong minima; where
-/// none converged, those with a finite χ². Their status tells them apart.
+/// Which of a few fits are used: those that converged to a plausible minimum; where there is none,
+/// suspected wrong minima; where none converged, those with a finite χ². Their status tells them
+/// apart.
 fn best_kind(reports: &[&ImageReport]) -> Vec<usize> {
     let rank = |report: &ImageReport| match report.status {
         Status::Ok | Status::Misfit => Some(0),

@@ -6,7 +6,8 @@ use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 
-/// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is exact to rounding.
+/// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is
+/// exact to rounding.
 const MAX_RESIDUAL_SHARE: f64 = 1e-3;
 
 /// x and y about their mean, at unit RMS over the pupil; and that RMS, m.
@@ -21,7 +22,8 @@ pub(in crate::modal) fn tip_and_tilt(pupil: &Pupil) -> [(Array2<f64>, f64); 2] {
     })
 }
 
-/// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the NCPA span.
+/// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the
+/// NCPA span.
 pub(in crate::modal) fn spanned_tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
     let (pupil, basis) = (&model.telescope.pupil, &model.basis);
     let mut found = Array2::zeros((0, basis.len()));

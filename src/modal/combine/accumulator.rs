@@ -14,12 +14,14 @@ use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, Axis};
 use std::sync::Arc;
 
-/// Keeps the coefficients of the last images, and combines them by the rules of [`ModalFitter::estimate`]: up to seven images
-/// are assessed one by one, eight and more as a sequence. Outliers are left out as the scene says.
+/// Keeps the coefficients of the last images, and combines them by the rules of
+/// [`ModalFitter::estimate`]: up to seven images are assessed one by one, eight and more as a
+/// sequence. Outliers are left out as the scene says.
 pub struct Accumulator {
     estimator: Arc<ModalFitter>,
     motions: GlobalMotions,
-    /// Inner products of the modes over the pupil, piston removed: the mean square of a map is cᵀ·G·c.
+    /// Inner products of the modes over the pupil, piston removed: the mean square of a map is
+    /// cᵀ·G·c.
     gram: Array2<f64>,
     /// Ring buffer, `[place, mode]`, nm.
     coefficients_nm: Array2<f64>,
@@ -140,13 +142,16 @@ impl Accumulator {
         })
     }
 
-    /// Number of further images like those so far that would bring the error bars of both maps (RMS over the pupil) down to
-    /// these values; infinity sets no limit on a map. 0 where the error bars are small enough already.
+    /// Number of further images like those so far that would bring the error bars of both maps (RMS
+    /// over the pupil) down to these values; infinity sets no limit on a map. 0 where the error
+    /// bars are small enough already.
     ///
-    /// Images that could not be used count, too: where one in two is used, two more are needed for one.
+    /// Images that could not be used count, too: where one in two is used, two more are needed for
+    /// one.
     ///
     /// # Errors
-    /// [`Error::Value`] for a wanted error that is not positive, and those of [`Accumulator::estimate`].
+    /// [`Error::Value`] for a wanted error that is not positive, and those of
+    /// [`Accumulator::estimate`].
     pub fn images_needed(&self, phasing_nm: f64, ncpa_nm: f64) -> Result<u64> {
         for (name, wanted) in [("phasing_nm", phasing_nm), ("ncpa_nm", ncpa_nm)] {
             if wanted.is_nan() || wanted <= 0.0 {
@@ -177,8 +182,8 @@ impl Accumulator {
         Ok(more.ceil() as u64)
     }
 
-    /// The covariance of the coefficients of one image (nm², pistons about their mean), which images are used, and their
-    /// mean or median.
+    /// The covariance of the coefficients of one image (nm², pistons about their mean), which
+    /// images are used, and their mean or median.
     fn single(&self) -> Result<(Array2<f64>, Selection, Vec<f64>)> {
         let mut reports = self.reports.clone();
         assess_together(&mut reports);
@@ -211,8 +216,8 @@ impl Accumulator {
         Ok((single_nm2, selected, coefficients_nm))
     }
 
-    /// Mean square over the pupil of the map of a group: Σ gram[i, j]·product(i, j) over the modes of the group, where
-    /// `product(i, j)` is the product (or the covariance) of two coefficients.
+    /// Mean square over the pupil of the map of a group: Σ gram[i, j]·product(i, j) over the modes
+    /// of the group, where `product(i, j)` is the product (or the covariance) of two coefficients.
     fn mean_square(&self, group: Group, product: &dyn Fn(usize, usize) -> f64) -> f64 {
         let model = self.estimator.model();
         let range = match group {

@@ -1,9 +1,10 @@
 //! Error of the diversity's amplitude, which an image cannot distinguish from the wavefront.
 //!
-//! With d the diversity and m the modes, the image of `m·c` behind `(1 + δ)·d` is that of `m·c + δ·d` behind d. Where the
-//! modes span d, δ·d is estimated as part of the wavefront and does not change χ²: an error of 5 % of 1.5 waves is 163 nm
-//! of focus. Where the scene says how well the diversity is known (`estimate.diversity_error`), the error bars include it.
-//! A fit of δ with a normal prior of that width would give the same error bars.
+//! With d the diversity and m the modes, the image of `m·c` behind `(1 + δ)·d` is that of
+//! `m·c + δ·d` behind d. Where the modes span d, δ·d is estimated as part of the wavefront and does
+//! not change χ²: an error of 5 % of 1.5 waves is 163 nm of focus. Where the scene says how well
+//! the diversity is known (`estimate.diversity_error`), the error bars include it. A fit of δ with
+//! a normal prior of that width would give the same error bars.
 
 use crate::modal::model::Model;
 
@@ -17,10 +18,12 @@ use ndarray::{Array1, Array2, Axis, s};
 
 /// Largest share of the diversity (RMS) outside the modes for which they count as spanning it.
 const MAX_RESIDUAL_SHARE: f64 = 0.1;
-/// Diversity below which signs are not known, waves RMS: 0.05 is enough to determine them at a peak S/N of 500.
+/// Diversity below which signs are not known, waves RMS: 0.05 is enough to determine them at a peak
+/// S/N of 500.
 const MIN_WAVES: f64 = 0.02;
 
-/// Whether an image determines the signs of even aberrations: it is defocused, or its diversity is a map.
+/// Whether an image determines the signs of even aberrations: it is defocused, or its diversity is
+/// a map.
 pub(crate) fn has_diversity(image: &ImageScene) -> bool {
     image.diversity_file.is_some() || image.diversity_focus_waves_rms.abs() >= MIN_WAVES
 }
@@ -51,7 +54,8 @@ pub struct DiversityProjection {
     pub rms_nm: f64,
 }
 
-/// Projector of maps on modes: least squares over a pupil, weight A (the amplitude), piston removed.
+/// Projector of maps on modes: least squares over a pupil, weight A (the amplitude), piston
+/// removed.
 pub struct ModeProjector {
     weight: Array2<f64>,
     metric: Metric,
@@ -77,8 +81,8 @@ impl ModeProjector {
         Ok(Self { weight: &pupil.amplitude / pupil.weight_sum(), metric, segment_modes })
     }
 
-    /// Projects `map_nm` on the modes of `basis`, for which this projector was made. Values outside the pupil are ignored, but
-    /// may not be NaN.
+    /// Projects `map_nm` on the modes of `basis`, for which this projector was made. Values outside
+    /// the pupil are ignored, but may not be NaN.
     ///
     /// # Errors
     /// [`Error::Shape`] for a map of another size.
@@ -94,8 +98,8 @@ impl ModeProjector {
 }
 
 impl DiversityProjection {
-    /// Projects the diversity of `scene` by least squares over the pupil of `telescope` (weight A, piston removed) on the modes
-    /// of `basis` behind the first `segment_modes`.
+    /// Projects the diversity of `scene` by least squares over the pupil of `telescope` (weight A,
+    /// piston removed) on the modes of `basis` behind the first `segment_modes`.
     ///
     /// # Errors
     /// [`Error::File`] for a map of the diversity that cannot be read.
@@ -118,11 +122,12 @@ impl DiversityProjection {
         Ok(Self { coefficients_nm, residual_share, rms_nm: square.sqrt() })
     }
 
-    /// Covariance of the modes, nm², for an amplitude of the diversity that is known to `fraction` of itself.
+    /// Covariance of the modes, nm², for an amplitude of the diversity that is known to `fraction`
+    /// of itself.
     ///
     /// # Errors
-    /// [`Error::Scene`], with `remedy`, where the modes do not span the diversity: its error is then not an error of the
-    /// modes alone.
+    /// [`Error::Scene`], with `remedy`, where the modes do not span the diversity: its error is
+    /// then not an error of the modes alone.
     pub fn covariance_nm2(&self, fraction: f64, remedy: &str) -> Result<Array2<f64>> {
         if !self.is_spanned() {
             return Err(Error::Scene(format!(
@@ -134,8 +139,8 @@ impl DiversityProjection {
         Ok(column.dot(&column.t()))
     }
 
-    /// Whether it is too small to determine the signs of even aberrations: an image in focus is also that of the wavefront
-    /// rotated by half a turn and negated.
+    /// Whether it is too small to determine the signs of even aberrations: an image in focus is
+    /// also that of the wavefront rotated by half a turn and negated.
     pub fn is_too_small(&self, wavelength_nm: f64) -> bool {
         self.rms_nm < MIN_WAVES * wavelength_nm
     }
@@ -151,13 +156,15 @@ impl DiversityProjection {
         })
     }
 
-    /// Whether the modes span the diversity: an error of it is then estimated as NCPA, and does not change χ².
+    /// Whether the modes span the diversity: an error of it is then estimated as NCPA, and does not
+    /// change χ².
     pub fn is_spanned(&self) -> bool {
         self.residual_share < MAX_RESIDUAL_SHARE
     }
 }
 
-/// Refuses a wanted error that no number of images reaches, because all images share an error of variance `shared_nm2`.
+/// Refuses a wanted error that no number of images reaches, because all images share an error of
+/// variance `shared_nm2`.
 ///
 /// # Errors
 /// [`Error::Value`].
@@ -180,7 +187,8 @@ pub(in crate::modal) fn project_diversity(model: &Model, scene: &System) -> Resu
     DiversityProjection::new(scene, &model.telescope, &model.basis, model.segment_modes)
 }
 
-/// The error that all images share where the diversity is known to a fraction of its amplitude (`estimate.diversity_error`).
+/// The error that all images share where the diversity is known to a fraction of its amplitude
+/// (`estimate.diversity_error`).
 ///
 /// # Errors
 /// [`Error::Scene`] where the modes do not span the diversity.

@@ -1,7 +1,9 @@
-//! Motions of the whole mirror, which the segment modes have and the images do not determine, and which are 0 by convention.
+//! Motions of the whole mirror, which the segment modes have and the images do not determine, and
+//! which are 0 by convention.
 //!
-//! Piston changes no image. Tip and tilt, which segments with tips and tilts make together, are also modes of the NCPA where those
-//! span them: what a fit divides among the two is moved to the NCPA. Where the NCPA do not span them, the images determine them.
+//! Piston changes no image. Tip and tilt, which segments with tips and tilts make together, are
+//! also modes of the NCPA where those span them: what a fit divides among the two is moved to the
+//! NCPA. Where the NCPA do not span them, the images determine them.
 
 use crate::modal::combine::diversity_error::{ModeProjector, Projection};
 use crate::modal::model::Model;
@@ -10,10 +12,11 @@ use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayViewMut1, Axis, s};
 
-/// Share of tip or tilt (RMS) outside the modes of the NCPA up to which they span it. The basis is exact to rounding.
+/// Share of tip or tilt (RMS) outside the modes of the NCPA up to which they span it. The basis is
+/// exact to rounding.
 const MAX_RESIDUAL_SHARE: f64 = 1e-3;
-/// Share of a direction (of its coefficients) outside the motions up to which it is one of them. Null directions are known to
-/// 1e-6 and sampled on two grids.
+/// Share of a direction (of its coefficients) outside the motions up to which it is one of them.
+/// Null directions are known to 1e-6 and sampled on two grids.
 const MAX_OTHER_SHARE: f64 = 0.01;
 
 /// Motions of the whole mirror.
@@ -57,8 +60,9 @@ impl GlobalMotions {
         Self::of(&found, &weight, basis, model.segment_modes)
     }
 
-    /// Piston, tip and tilt of the pistons, tips and tilts `segments` of all segments, the first of `modes` coefficients. They are
-    /// in no other mode: behind a loop that flattens the whole mirror a plane through the segments changes no image.
+    /// Piston, tip and tilt of the pistons, tips and tilts `segments` of all segments, the first of
+    /// `modes` coefficients. They are in no other mode: behind a loop that flattens the whole
+    /// mirror a plane through the segments changes no image.
     ///
     /// # Errors
     /// As [`GlobalMotions::new`].
@@ -96,7 +100,8 @@ impl GlobalMotions {
         }
     }
 
-    /// Wavefronts `columns` of the first modes, `[mode, sample]`, of coefficients from which the motions are removed: these change none.
+    /// Wavefronts `columns` of the first modes, `[mode, sample]`, of coefficients from which the
+    /// motions are removed: these change none.
     pub(crate) fn removed_from_columns(&self, columns: &Array2<f64>) -> Array2<f64> {
         let [amounts, motions] = [&self.amounts, &self.motions].map(|rows| rows.slice(s![.., ..columns.nrows()]));
         // Pᵀ of the columns, with P = 1 − Mᵀ A.
@@ -135,8 +140,9 @@ impl GlobalMotions {
     }
 }
 
-/// Piston of the whole mirror, and where its segments have tilts tip and tilt: by `pistons` pistons, and as many tips and tilts, the first
-/// modes of `basis`. They are orthonormal under the weight of each sample in a mean over the pupil, which comes with them.
+/// Piston of the whole mirror, and where its segments have tilts tip and tilt: by `pistons`
+/// pistons, and as many tips and tilts, the first modes of `basis`. They are orthonormal under the
+/// weight of each sample in a mean over the pupil, which comes with them.
 fn segment_motions(
     (basis, pistons): (&Basis, usize),
     pupil: &Pupil,
@@ -153,7 +159,8 @@ fn segment_motions(
     let coefficients = Array1::from_shape_fn(basis.len(), |mode| f64::from(u8::from(mode < pistons)));
     let mut found = vec![Motion { map: Array2::ones(weight.dim()), coefficients }];
     for axis in 0..if has_tilts { 2 } else { 0 } {
-        // On a segment, a coordinate is its mean times the piston and its RMS about it times the tip or the tilt.
+        // On a segment, a coordinate is its mean times the piston and its RMS about it times the
+        // tip or the tilt.
         let coordinate = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
         let map = Array2::from_shape_fn(weight.dim(), coordinate);
         let mut coefficients = Array1::from(basis.along(&(&map * &weight))?);
@@ -168,8 +175,8 @@ fn segment_motions(
 }
 
 impl Motion {
-    /// This motion without what it has of others, which are orthogonal to each other and of unit mean square, and at unit
-    /// mean square.
+    /// This motion without what it has of others, which are orthogonal to each other and of unit
+    /// mean square, and at unit mean square.
     fn orthogonal_to(mut self, others: &[Motion], weight: &Array2<f64>) -> Self {
         let product = |a: &Array2<f64>, b: &Array2<f64>| (a * b * weight).sum();
         for other in others {

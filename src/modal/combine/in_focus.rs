@@ -1,8 +1,10 @@
-//! Likelihood of the modes by images in focus, near an estimate from other images of the same wavefront.
+//! Likelihood of the modes by images in focus, near an estimate from other images of the same
+//! wavefront.
 //!
-//! An image in focus is the same for an even aberration and for its negative. Its objective J = Σ w r² has many minima, and near the flat
-//! wavefront it is not quadratic: its own minimum may be far from the truth in modes on which it has little information. With the
-//! estimate c₀ of other images and their information Λ₀, both have a minimum, which Gauss-Newton steps find:
+//! An image in focus is the same for an even aberration and for its negative. Its objective J = Σ w
+//! r² has many minima, and near the flat wavefront it is not quadratic: its own minimum may be far
+//! from the truth in modes on which it has little information. With the estimate c₀ of other images
+//! and their information Λ₀, both have a minimum, which Gauss-Newton steps find:
 //!
 //! ```text
 //! K(c) = J(c) + (c − c₀)ᵀ Λ₀ (c − c₀)         F: half of the Gauss-Newton matrix of J
@@ -21,8 +23,9 @@ use crate::modal::solve::minimum::Minimum;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 
-/// Gauss-Newton steps. The estimate of the others is within some error bars, 0.01 rad, of the minimum, so that the second step is 1e-4 of
-/// the first; where modes on which the others say little are farther away, the third is still below an error bar.
+/// Gauss-Newton steps. The estimate of the others is within some error bars, 0.01 rad, of the
+/// minimum, so that the second step is 1e-4 of the first; where modes on which the others say
+/// little are farther away, the third is still below an error bar.
 const STEPS: usize = 3;
 
 /// Normal likelihood of the modes about a point that is not its mean.
@@ -37,10 +40,12 @@ pub(in crate::modal) struct NearLikelihood {
 }
 
 impl NearLikelihood {
-    /// Likelihood of the images `prepared`, near the minima of their own, which the minima of K replace.
+    /// Likelihood of the images `prepared`, near the minima of their own, which the minima of K
+    /// replace.
     ///
     /// # Errors
-    /// [`Error::Image`] where no image was fitted; [`Error::Value`] where no mode changes the images.
+    /// [`Error::Image`] where no image was fitted; [`Error::Value`] where no mode changes the
+    /// images.
     pub(in crate::modal) fn new(
         fitter: &ModalFitter,
         prepared: &[PreparedFrame],

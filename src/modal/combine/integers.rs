@@ -1,22 +1,24 @@
 //! Whole wavelengths of segment pistons, from channels of several wavelengths.
 //!
-//! Channel i sees the piston of a segment modulo its wavelength λ_i: its estimate is ĉ_i + λ_i k_i with unknown integers k_i. With the
-//! information Λ_i of each channel and the modes c common to all, the integers are those of the smallest
+//! Channel i sees the piston of a segment modulo its wavelength λ_i: its estimate is ĉ_i + λ_i k_i
+//! with unknown integers k_i. With the information Λ_i of each channel and the modes c common to
+//! all, the integers are those of the smallest
 //!
 //! ```text
 //! χ²(k) = min over c of Σ_i (ĉ_i + λ_i k_i − c)ᵀ Λ_i (ĉ_i + λ_i k_i − c)
 //! ```
 //!
-//! so that segments are tied to each other by what they share with the NCPA. For each integer of the first channel those of the others
-//! are the nearest. Pistons p_s about their mean are taken to be normal with a standard deviation τ that is not known: with a prior 1/τ
-//! its integral is proportional to (Σ p_s²)^(−n/2), n being one less than the number of segments, and
+//! so that segments are tied to each other by what they share with the NCPA. For each integer of
+//! the first channel those of the others are the nearest. Pistons p_s about their mean are taken to
+//! be normal with a standard deviation τ that is not known: with a prior 1/τ its integral is
+//! proportional to (Σ p_s²)^(−n/2), n being one less than the number of segments, and
 //!
 //! ```text
 //! −2 ln P(k) = χ²(k) + n ln Σ p_s² + const.,   |p_s| within modes.piston_range_nm
 //! ```
 //!
-//! The probability of an integer is its mean conditional probability over a Gibbs sampler (Geman & Geman 1984) of all segments; the
-//! integers that are returned are the most probable that it met.
+//! The probability of an integer is its mean conditional probability over a Gibbs sampler (Geman &
+//! Geman 1984) of all segments; the integers that are returned are the most probable that it met.
 
 mod lattice;
 mod search;
@@ -28,7 +30,8 @@ use search::IntegerSearch;
 
 pub(in crate::modal) use search::ColourChannel;
 
-/// Wavelengths that differ by less than this fraction do not determine integers: their synthetic wavelength is above 100 wavelengths.
+/// Wavelengths that differ by less than this fraction do not determine integers: their synthetic
+/// wavelength is above 100 wavelengths.
 const LEAST_DIFFERENCE: f64 = 0.01;
 
 /// The whole wavelengths that were found for the piston of a segment.
@@ -55,8 +58,9 @@ pub(crate) fn are_determined(wavelengths_nm: &[f64]) -> bool {
     extreme(f64::max) / extreme(f64::min) > 1.0 + LEAST_DIFFERENCE
 }
 
-/// Finds the integers of the first `pistons` modes, adds them to the coefficients of each channel, and returns them with their
-/// probabilities. `covariance_nm2` is that of the modes, ΣΛ inverted, and `range_nm` the largest piston.
+/// Finds the integers of the first `pistons` modes, adds them to the coefficients of each channel,
+/// and returns them with their probabilities. `covariance_nm2` is that of the modes, ΣΛ inverted,
+/// and `range_nm` the largest piston.
 pub(in crate::modal) fn resolve(
     channels: &mut [ColourChannel],
     covariance_nm2: &Array2<f64>,
@@ -93,7 +97,8 @@ pub(crate) struct ColourEstimate {
     pub(crate) covariance_nm2: Array2<f64>,
 }
 
-/// As [`resolve`], of estimates in several wavelengths, each with its own tip and tilt; with the integers, the modes common to all, nm.
+/// As [`resolve`], of estimates in several wavelengths, each with its own tip and tilt; with the
+/// integers, the modes common to all, nm.
 ///
 /// # Errors
 /// [`crate::Error::Value`] where no mode is determined.
@@ -144,14 +149,16 @@ mod tests {
         (segment as f64 - (count - 1.0) / 2.0) / ((count * count - 1.0) / 12.0).sqrt()
     }
 
-    /// Draws of pistons within ±`range_nm`, sought within twice that, seen with `sigma_nm`, and with `tilt_nm` RMS
-    /// in their tilt: right integers, wrong ones, and wrong ones with a probability above 0.99.
+    /// Draws of pistons within ±`range_nm`, sought within twice that, seen with `sigma_nm`, and
+    /// with `tilt_nm` RMS in their tilt: right integers, wrong ones, and wrong ones with a
+    /// probability above 0.99.
     fn draws(range_nm: f64, sigma_nm: f64, tilt_nm: f64, count: u64) -> (usize, usize, usize) {
         let (mut right, mut wrong, mut certain) = (0, 0, 0);
         for seed in 1..=count {
             let mut rng = ChaCha12Rng::seed_from_u64(seed);
             let truth: Vec<f64> = (0..SEGMENTS).map(|_| range_nm * (2.0 * rng.random::<f64>() - 1.0)).collect();
-            // Of pistons only their differences are seen. The variance along the tilt of unit norm is the sum of both.
+            // Of pistons only their differences are seen. The variance along the tilt of unit norm
+            // is the sum of both.
             let known = 1.0 / (1.0 + SEGMENTS as f64 * (tilt_nm / sigma_nm).powi(2));
             let tilt = |i, j| (1.0 - known) * position(i) * position(j);
             let information = Array2::from_shape_fn((SEGMENTS, SEGMENTS), |(i, j)| {
@@ -167,7 +174,8 @@ mod tests {
                         - 0.5 * wavelength_nm
                 }))
             });
-            // Two channels of one information: the inverse of their sum, in the space of differences.
+            // Two channels of one information: the inverse of their sum, in the space of
+            // differences.
             let covariance_nm2 = Array2::from_shape_fn((SEGMENTS, SEGMENTS), |(i, j)| {
                 f64::from(u8::from(i == j)) - (1.0 + (1.0 - 1.0 / known) * position(i) * position(j)) / SEGMENTS as f64
             }) * (sigma_nm.powi(2) / 2.0);
@@ -193,14 +201,17 @@ mod tests {
     #[test]
     #[ignore = "merge: 2 s"]
     fn precise_pistons_have_integers_beyond_synthetic_wavelength() {
-        // Within ±30 µm of each other, 4·1640 and 3·2168.6 nm are the closest, 54 nm apart: 11 standard deviations of 3·√2 nm.
+        // Within ±30 µm of each other, 4·1640 and 3·2168.6 nm are the closest, 54 nm apart: 11
+        // standard deviations of 3·√2 nm.
         assert_eq!(draws(15_000.0, 3.0, 0.0, 20), (20 * SEGMENTS, 0, 0));
-        // Within ±3 µm about the mean nothing is closer than 529 nm: its half is 4.7 standard deviations of 40·√2 nm.
+        // Within ±3 µm about the mean nothing is closer than 529 nm: its half is 4.7 standard
+        // deviations of 40·√2 nm.
         assert_eq!(draws(1_500.0, 40.0, 0.0, 20), (20 * SEGMENTS, 0, 0));
     }
 
-    /// Found for each segment alone, the integers of those at one end are off by the pair that differs by 54 nm, where the channels' tilts
-    /// differ; two of them that go back alone leave a step, which costs more than what they gain.
+    /// Found for each segment alone, the integers of those at one end are off by the pair that
+    /// differs by 54 nm, where the channels' tilts differ; two of them that go back alone leave a
+    /// step, which costs more than what they gain.
     #[test]
     fn groups_of_segments_are_moved_together() {
         assert_eq!(draws(15_000.0, 3.0, 14.0, 40), (40 * SEGMENTS, 0, 0));
@@ -209,8 +220,8 @@ mod tests {
     #[test]
     #[ignore = "merge: 3 s"]
     fn integers_that_noise_makes_ambiguous_are_not_claimed() {
-        // 54 nm are 1.9 standard deviations of 20·√2 nm: a tenth of the segments are wrong, and of those that are claimed with 0.99 at most
-        // 1 % may be.
+        // 54 nm are 1.9 standard deviations of 20·√2 nm: a tenth of the segments are wrong, and of
+        // those that are claimed with 0.99 at most 1 % may be.
         let (right, wrong, certain) = draws(15_000.0, 20.0, 0.0, 40);
         assert!(wrong > right / 50 && wrong < right, "{right} {wrong}");
         assert!(certain * 100 <= right + wrong, "{certain} of {}", right + wrong);

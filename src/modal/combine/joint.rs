@@ -1,7 +1,8 @@
 //! Joint estimate of the channels of one wavefront, from an estimate of each.
 //!
-//! Near their minima the objectives of the channels are quadratic in the modes, so that the minimum of their sum follows from the
-//! minimum ĉ_i of each and its covariance C_i by generalised least squares:
+//! Near their minima the objectives of the channels are quadratic in the modes, so that the minimum
+//! of their sum follows from the minimum ĉ_i of each and its covariance C_i by generalised least
+//! squares:
 //!
 //! ```text
 //! ĉ_i = c + δ p_i + T t_i + noise       c: the modes, common to all channels
@@ -9,14 +10,18 @@
 //! N = Σ [1 p_i]ᵀ Λ_i [1 p_i] + diag(0, 1/σ²)    [c δ] = N⁺ Σ [1 p_i]ᵀ Λ_i ĉ_i      covariance N⁺
 //! ```
 //!
-//! δ is the relative error of the amplitude of the diversities d_i, whose coefficients are p_i: an image of c behind (1+δ) d_i is that of
-//! c + δ d_i behind d_i. One mechanism is assumed to make them all. It is known to σ (`estimate.diversity_error`), not at all where
-//! `estimate.fit_optics` names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one does not.
+//! δ is the relative error of the amplitude of the diversities d_i, whose coefficients are p_i: an
+//! image of c behind (1+δ) d_i is that of c + δ d_i behind d_i. One mechanism is assumed to make
+//! them all. It is known to σ (`estimate.diversity_error`), not at all where `estimate.fit_optics`
+//! names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one
+//! does not.
 //!
-//! Of a channel in focus ĉ_i is not known, but Λ_i and Λ_i (ĉ_i − c_i) about a point c_i: see `in_focus.rs`.
+//! Of a channel in focus ĉ_i is not known, but Λ_i and Λ_i (ĉ_i − c_i) about a point c_i: see
+//! `in_focus.rs`.
 //!
-//! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the channels are of one wavefront by one
-//! model: an image that is flipped, or of another wavelength than the scene says, disagrees with the others.
+//! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the
+//! channels are of one wavefront by one model: an image that is flipped, or of another wavelength
+//! than the scene says, disagrees with the others.
 
 use crate::modal::assess::fisher::{self, null_floor, pseudo_inverse, without};
 use crate::modal::assess::tilts::spanned_tip_and_tilt;
@@ -34,15 +39,15 @@ use ndarray::{Array1, Array2, Axis, concatenate, s};
 /// Fitter of a channel, and what it found.
 type ChannelFit<'a> = (&'a ModalFitter, &'a ModalEstimate);
 
-/// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
-/// √(2/n) of n degrees of freedom,
+/// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of
+/// its standard deviations, √(2/n) of n degrees of freedom,
 const DEVIATIONS: f64 = 5.0;
-/// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000. A flipped image gives
-/// 1,000 and more at S/N 500.
+/// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N
+/// of 500 to 1,000. A flipped image gives 1,000 and more at S/N 500.
 const ALLOWANCE: f64 = 0.3;
 
-/// Least share of the information on the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
-/// projections would be taken for it.
+/// Least share of the information on the amplitude of the diversities that the modes must leave:
+/// below, an error of 1 % of the projections would be taken for it.
 const LEAST_SHARE: f64 = 1e-4;
 
 /// Estimate from several channels.
@@ -57,7 +62,8 @@ pub(crate) struct JointEstimate {
     pub(crate) defocus: Option<FittedOptic>,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
     pub(crate) integers: Vec<PistonInteger>,
-    /// Change of the modes for a relative error 1 of the amplitude of all diversities, nm; none where that is unknown or fitted.
+    /// Change of the modes for a relative error 1 of the amplitude of all diversities, nm; none
+    /// where that is unknown or fitted.
     pub(crate) diversity_effect_nm: Option<Array1<f64>>,
     /// Scatter of the channels about the estimate over its expectation, and its degrees of freedom.
     pub(crate) disagreement: (f64, f64),
@@ -77,7 +83,8 @@ struct Likelihood {
     diversity_nm: Array1<f64>,
 }
 
-/// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale` times those of their noise.
+/// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale`
+/// times those of their noise.
 fn resolve(
     scene: &System,
     likelihoods: &mut [Likelihood],
@@ -98,11 +105,12 @@ fn resolve(
     Ok(integers::resolve(&mut colours, &covariance_nm2, pistons, scene.modes.piston_range_nm))
 }
 
-/// Combines the estimates of the channels of `scene`, which have the same modes; those of channels in focus are the last.
+/// Combines the estimates of the channels of `scene`, which have the same modes; those of channels
+/// in focus are the last.
 ///
 /// # Errors
-/// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do not span;
-/// [`Error::Value`] where no mode changes the images.
+/// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do
+/// not span; [`Error::Value`] where no mode changes the images.
 pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (count, model) = (first.model.optics.modes(), &first.model);
@@ -174,7 +182,8 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
     })
 }
 
-/// Whether channels whose differences have the given reduced χ² and degrees of freedom differ by more than their noise.
+/// Whether channels whose differences have the given reduced χ² and degrees of freedom differ by
+/// more than their noise.
 pub(in crate::modal) fn contradict((chi2, freedom): (f64, f64)) -> bool {
     freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt()
 }
@@ -186,8 +195,8 @@ impl JointEstimate {
     }
 }
 
-/// The modes that several channels have in common, from estimates of each with the covariance of their noise; pistons within half a
-/// wavelength of the first channel's.
+/// The modes that several channels have in common, from estimates of each with the covariance of
+/// their noise; pistons within half a wavelength of the first channel's.
 ///
 /// # Errors
 /// [`Error::Value`] where no mode changes the images.
@@ -225,7 +234,8 @@ fn likelihood_of((fitter, found): ChannelFit, number: usize, (first, reference):
     normal_likelihood(fitter, likelihood, number, (first, &reference.likelihood().coefficients_nm))
 }
 
-/// Likelihood from the estimate of the channel `number`; its pistons within half a wavelength of `reference_nm`, the first channel's.
+/// Likelihood from the estimate of the channel `number`; its pistons within half a wavelength of
+/// `reference_nm`, the first channel's.
 fn normal_likelihood(
     fitter: &ModalFitter,
     mut likelihood: CombinedModes,
@@ -239,7 +249,8 @@ fn normal_likelihood(
         first.motions.remove(&mut likelihood.coefficients_nm);
     }
     let modes = model.optics.modes();
-    // An inverse in scaled coordinates has other null directions than the covariance, in each channel others.
+    // An inverse in scaled coordinates has other null directions than the covariance, in each
+    // channel others.
     let information = pseudo_inverse(&likelihood.covariance_nm2, null_floor(modes, modes))?;
     let mut information = fitter.motions.without_information_on(&information);
     if number > 0 {
@@ -338,7 +349,8 @@ impl Normal {
             .map(|channel| channel.diversity_nm.dot(&channel.information.dot(&channel.diversity_nm)))
             .sum();
         let last = self.solution.len() - 1;
-        // In a null direction N⁺ has a variance, too, and the part of N along δ that the modes reproduce is what matters.
+        // In a null direction N⁺ has a variance, too, and the part of N along δ that the modes
+        // reproduce is what matters.
         let modes = self.matrix.slice(s![..last, ..last]).to_owned();
         let cross = self.matrix.slice(s![..last, last]);
         let reproduced =
@@ -346,7 +358,8 @@ impl Normal {
         if all > 0.0 { ((all - reproduced) / all).max(0.0) } else { 0.0 }
     }
 
-    /// Reduced χ² of the channels about the solution, and its degrees of freedom; (1, 0) where there are none.
+    /// Reduced χ² of the channels about the solution, and its degrees of freedom; (1, 0) where
+    /// there are none.
     fn disagreement(&self, likelihoods: &[Likelihood]) -> (f64, f64) {
         let rank = |matrix: &Array2<f64>| fisher::rank(matrix, null_floor(matrix.nrows(), matrix.nrows())) as f64;
         let (mut chi2, mut freedom) = (0.0, -rank(&self.matrix));

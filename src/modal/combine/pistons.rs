@@ -6,23 +6,24 @@ use crate::statistics::median;
 use ndarray::ArrayView1;
 use std::f64::consts::TAU;
 
-/// [`wrap`] where the light has one wavelength, so that the image does not show whole wavelengths: a step of the optimiser may end one
-/// away from where it started. Allocates nothing.
+/// [`wrap`] where the light has one wavelength, so that the image does not show whole wavelengths:
+/// a step of the optimiser may end one away from where it started. Allocates nothing.
 pub(in crate::modal) fn wrap_if_monochromatic(coefficients_nm: &mut [f64], start_nm: &[f64], model: &Model) {
     if model.optics.parts().colours.len() == 1 {
         wrap(coefficients_nm, start_nm, model);
     }
 }
 
-/// Moves pistons by wavelengths, so that they differ least from those of `reference_nm` up to a piston of all. Allocates nothing.
+/// Moves pistons by wavelengths, so that they differ least from those of `reference_nm` up to a
+/// piston of all. Allocates nothing.
 pub(in crate::modal) fn wrap(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model) {
     let parts = model.optics.parts();
     let pistons = parts.modes.iter().take_while(|mode| matches!(mode, Mode::Piston(_))).count();
     wrap_pistons(&mut coefficients_nm[..pistons], &reference_nm[..pistons], parts.wavelength_nm);
 }
 
-/// The pistons among `coefficients_nm`, moved by wavelengths so that they differ least from those of `reference_nm`, up to a piston
-/// of all, which is left out.
+/// The pistons among `coefficients_nm`, moved by wavelengths so that they differ least from those
+/// of `reference_nm`, up to a piston of all, which is left out.
 pub(crate) fn pistons_near(coefficients_nm: ArrayView1<f64>, reference_nm: &[f64], model: &Model) -> Vec<f64> {
     let mut moved_nm = coefficients_nm.to_vec();
     wrap(&mut moved_nm, reference_nm, model);

@@ -1,25 +1,29 @@
-//! Statistics of a sequence: outliers among its images, their mean or median, and its covariance from their scatter.
+//! Statistics of a sequence: outliers among its images, their mean or median, and its covariance
+//! from their scatter.
 
 use crate::scene::Combine;
 use crate::statistics::median;
 use ndarray::{Array1, Array2, ArrayView1, Axis, Zip};
 
-/// Fewest images of a sequence: the median and the median deviation of eight withstand three that are arbitrarily bad, and the
-/// deviation is accurate to 40 %.
+/// Fewest images of a sequence: the median and the median deviation of eight withstand three that
+/// are arbitrarily bad, and the deviation is accurate to 40 %.
 pub(in crate::modal) const SEQUENCE: usize = 8;
-/// Images that scatter up to this many times as much as the others are never outliers: a mean of n images gains by
-/// leaving one out only where its variance is more than 2 + 1/(n−1) times theirs.
+/// Images that scatter up to this many times as much as the others are never outliers: a mean of n
+/// images gains by leaving one out only where its variance is more than 2 + 1/(n−1) times theirs.
 const WORTH_LEAVING_OUT: f64 = 2.0;
-/// Robust standard deviations beyond the median from which an image is an outlier (Iglewicz and Hoaglin 1993, *How to
-/// Detect and Handle Outliers*): 2 of 10,000 normal ones are, 0.05 of a sequence of 200.
+/// Robust standard deviations beyond the median from which an image is an outlier (Iglewicz and
+/// Hoaglin 1993, *How to Detect and Handle Outliers*): 2 of 10,000 normal ones are, 0.05 of a
+/// sequence of 200.
 const OUTLYING: f64 = 3.5;
 /// Median deviation of a normal distribution to its standard deviation.
 const NORMAL_MAD: f64 = 1.4826;
-/// Variance of the median over that of the mean, for normal draws: its standard error is 1.2533 times as large.
+/// Variance of the median over that of the mean, for normal draws: its standard error is 1.2533
+/// times as large.
 const MEDIAN_VARIANCE: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Which of these variances are outliers: above the median by more than their own spread explains (of the logarithms, because
-/// variances are positive and skewed), and so large that the mean gains by leaving them out. NaN is an outlier.
+/// Which of these variances are outliers: above the median by more than their own spread explains
+/// (of the logarithms, because variances are positive and skewed), and so large that the mean gains
+/// by leaving them out. NaN is an outlier.
 pub(in crate::modal) fn outliers(variances: &[f64]) -> Vec<bool> {
     // A variance of 0 has an infinite logarithm, which would make all others outliers.
     let logarithm = |variance: &f64| variance.max(f64::MIN_POSITIVE).ln();
@@ -30,8 +34,8 @@ pub(in crate::modal) fn outliers(variances: &[f64]) -> Vec<bool> {
     variances.iter().map(|variance| variance.is_nan() || logarithm(variance) > limit).collect()
 }
 
-/// Distance of each row from the median of all: the mean over the columns of the squared difference in units of the column's
-/// variance.
+/// Distance of each row from the median of all: the mean over the columns of the squared difference
+/// in units of the column's variance.
 pub(in crate::modal) fn distances(rows: &Array2<f64>) -> Vec<f64> {
     let middle = location(rows, Combine::Median);
     let scatter = robust_variances(rows, &middle);
@@ -60,14 +64,17 @@ pub(in crate::modal) fn shrinkage_of_variance(how: Combine, count: usize) -> f64
     median / count as f64
 }
 
-/// Covariance of one image's coefficients, from how they scatter: `rows` is `[image, mode]`, at least two images.
+/// Covariance of one image's coefficients, from how they scatter: `rows` is `[image, mode]`, at
+/// least two images.
 ///
-/// The variances are those of the scatter, and at least those of the noise, which are known. The correlations of fewer images
-/// than modes are singular, and those of few more images are mostly noise: they are shrunk towards those of the noise (`noise_nm2`, one
-/// image's covariance by its Fisher matrix) by the amount that minimises the expected square error (Schäfer and
-/// Strimmer 2005, *Stat. Appl. Genet. Mol. Biol.* 4, 32, with that target). So images that differ by noise alone have
-/// the Fisher matrix's correlations, and long sequences their own. For the median, scatter is the median deviation, and
-/// the correlation is that of the signs of the deviations: what medians have asymptotically.
+/// The variances are those of the scatter, and at least those of the noise, which are known. The
+/// correlations of fewer images than modes are singular, and those of few more images are mostly
+/// noise: they are shrunk towards those of the noise (`noise_nm2`, one image's covariance by its
+/// Fisher matrix) by the amount that minimises the expected square error (Schäfer and Strimmer
+/// 2005, *Stat. Appl. Genet. Mol. Biol.* 4, 32, with that target). So images that differ by noise
+/// alone have the Fisher matrix's correlations, and long sequences their own. For the median,
+/// scatter is the median deviation, and the correlation is that of the signs of the deviations:
+/// what medians have asymptotically.
 pub(in crate::modal) fn scatter(rows: &Array2<f64>, how: Combine, noise_nm2: &Array2<f64>) -> Array2<f64> {
     let centre = location(rows, how);
     let deviations = rows - &centre.view().insert_axis(Axis(0));

@@ -5,7 +5,8 @@ use crate::modal::model::Model;
 use crate::modes::Group;
 use ndarray::Array2;
 
-/// Segment errors and non-common path aberrations, or the error bars of both (1σ): maps `[y, x]`, nm, NaN outside the pupil.
+/// Segment errors and non-common path aberrations, or the error bars of both (1σ): maps `[y, x]`,
+/// nm, NaN outside the pupil.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StaticMaps {
     /// Of the segment errors.
@@ -21,7 +22,8 @@ impl StaticMaps {
         Self { phasing_nm: map_nm(Group::Segment), ncpa_nm: map_nm(Group::Ncpa) }
     }
 
-    /// The error bars of [`StaticMaps::of_modes`]: √ of the diagonal of M C Mᵀ over the pupil, for the modes of each group.
+    /// The error bars of [`StaticMaps::of_modes`]: √ of the diagonal of M C Mᵀ over the pupil, for
+    /// the modes of each group.
     pub(in crate::modal) fn of_error_bars(model: &Model, modes: &CombinedModes) -> Self {
         let sigma_nm = |group| {
             let variance_nm2 = model.basis.variance(&modes.covariance_nm2, model.modes_of(group));

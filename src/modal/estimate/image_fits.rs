@@ -11,7 +11,8 @@ use ndarray::{Array2, ArrayView1};
 /// Coefficients and report of each image; see [`ModalFitter::fit_each`].
 #[derive(Debug, Clone)]
 pub struct ImageFits {
-    /// `[image, mode]`, nm, pistons about their mean over the pupil; NaN for images that cannot be used.
+    /// `[image, mode]`, nm, pistons about their mean over the pupil; NaN for images that cannot be
+    /// used.
     pub coefficients_nm: Array2<f64>,
     /// Report of each image, in order.
     pub reports: Vec<ImageReport>,
@@ -49,7 +50,8 @@ impl FittedCube {
     pub(in crate::modal) fn assess(&mut self, fitter: &ModalFitter) -> ImageFits {
         let Self { refused, indices, prepared, minima } = self;
         minima.iter_mut().for_each(|minimum| fitter.motions.remove(&mut minimum.coefficients_nm));
-        // Reports of images that were not fitted first; those of fitted images then take their places.
+        // Reports of images that were not fitted first; those of fitted images then take their
+        // places.
         let unfitted = |refused: &Option<Refusal>| {
             ImageReport::unfitted(refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable))
         };

@@ -1,4 +1,5 @@
-//! Modal estimate of the images of a scene: model, optical parameters where they are fitted, chain, fits.
+//! Modal estimate of the images of a scene: model, optical parameters where they are fitted, chain,
+//! fits.
 
 use crate::Result;
 use crate::control::Control;
@@ -40,7 +41,8 @@ pub(crate) fn fitter_for(scene: &System, recipe: Recipe, cache: &ModelCache, cub
     ModalFitter::with_scene_basis(scene, recipe, is_native(scene, cube), cache.basis.clone())
 }
 
-/// The fitter for `cube` of `scene`, which `cache` keeps; optical parameters are fitted first where the scene names some.
+/// The fitter for `cube` of `scene`, which `cache` keeps; optical parameters are fitted first where
+/// the scene names some.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`], and of the fit of the parameters.
@@ -58,9 +60,9 @@ pub(crate) fn fitter_of(
     }
 }
 
-/// Estimates the static wavefront behind `cube` by `recipe`, on the chain that `open` opens for the model. Frames with bad
-/// pixels are fitted at their native sampling, because a reduction would smear them. Optical parameters that
-/// `estimate.fit_optics` names are fitted first.
+/// Estimates the static wavefront behind `cube` by `recipe`, on the chain that `open` opens for the
+/// model. Frames with bad pixels are fitted at their native sampling, because a reduction would
+/// smear them. Optical parameters that `estimate.fit_optics` names are fitted first.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`], of [`ModalFitter::estimate`] and of `open`.

@@ -13,11 +13,13 @@ pub struct FittedOptic {
     pub segment: Option<usize>,
     /// Value of the scene, in the unit of [`FittedOptic::key`].
     pub scene: f64,
-    /// Fitted value; where it is not identifiable, the scene's, or that of the last iteration in which it was.
+    /// Fitted value; where it is not identifiable, the scene's, or that of the last iteration in
+    /// which it was.
     pub value: f64,
     /// Error bar, 1σ; infinite where the modes reproduce its effect.
     pub sigma: f64,
-    /// Share of its effect on the image that neither the modes nor the other optical parameters reproduce.
+    /// Share of its effect on the image that neither the modes nor the other optical parameters
+    /// reproduce.
     pub identifiable_share: f64,
 }
 

@@ -1,4 +1,5 @@
-//! Normal equations of the optical parameters with the modes eliminated: the terms of each image, and their solution.
+//! Normal equations of the optical parameters with the modes eliminated: the terms of each image,
+//! and their solution.
 
 use crate::imaging::Photometry;
 use crate::modal::assess::fisher::{Sensitivity, pseudo_inverse};
@@ -10,8 +11,8 @@ use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
-/// Smallest identifiable share of a parameter that is fitted: 6e-7 of a defocus where the modes have Zernikes, 0.8 of a plate
-/// scale.
+/// Smallest identifiable share of a parameter that is fitted: 6e-7 of a defocus where the modes
+/// have Zernikes, 0.8 of a plate scale.
 const MIN_IDENTIFIABLE_SHARE: f64 = 1e-5;
 
 /// One iteration of the fit of the optical parameters.
@@ -63,7 +64,8 @@ impl NormalEquations {
         }
     }
 
-    /// Adds an image; `derivatives` are those of its electrons by the parameters, `[parameter, pixel]`, per unit.
+    /// Adds an image; `derivatives` are those of its electrons by the parameters,
+    /// `[parameter, pixel]`, per unit.
     pub(super) fn add(
         &mut self,
         estimator: &ModalFitter,

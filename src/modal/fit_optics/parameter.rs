@@ -1,4 +1,5 @@
-//! Optical parameters: their values in a scene, steps of their derivatives, scene and telescope with other values.
+//! Optical parameters: their values in a scene, steps of their derivatives, scene and telescope
+//! with other values.
 
 use crate::modal::model::recipe::Recipe;
 use crate::scene::{Optic, Parameter, System};
@@ -14,11 +15,13 @@ const AMPLITUDE_STEP: f64 = 0.01;
 pub(in crate::modal) enum FittedParameter {
     /// A number of the scene.
     Number(Optic, &'static Parameter),
-    /// Amplitude that a segment reflects, relative to that of the last one: a factor of all is the star's flux.
+    /// Amplitude that a segment reflects, relative to that of the last one: a factor of all is the
+    /// star's flux.
     Amplitude(usize),
 }
 
-/// A parameter with its value in a scene, and the step for its derivative: about a twentieth of a pixel at the rim of a spot.
+/// A parameter with its value in a scene, and the step for its derivative: about a twentieth of a
+/// pixel at the rim of a spot.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Start {
     pub(super) parameter: FittedParameter,
@@ -94,10 +97,11 @@ pub(super) fn telescope(scene: &System, parameters: &[FittedParameter], values: 
     telescope.with_amplitudes(amplitudes.into_iter().chain([1.0]).collect())
 }
 
-/// Error bars of the amplitudes b of all segments, which [`Telescope::with_amplitudes`] scales so that Σ area·b² is the pupil's area.
-/// `covariance` is that of the parameters.
+/// Error bars of the amplitudes b of all segments, which [`Telescope::with_amplitudes`] scales so
+/// that Σ area·b² is the pupil's area. `covariance` is that of the parameters.
 ///
-/// Parameters a of a scale s = b/a change by δa: then δbᵢ = s δaᵢ − bᵢ Σ gⱼ s δaⱼ with gⱼ = areaⱼ bⱼ/Σ area·b².
+/// Parameters a of a scale s = b/a change by δa: then δbᵢ = s δaᵢ − bᵢ Σ gⱼ s δaⱼ with gⱼ = areaⱼ
+/// bⱼ/Σ area·b².
 pub(super) fn amplitude_sigmas(
     telescope: &Telescope,
     parameters: &[FittedParameter],

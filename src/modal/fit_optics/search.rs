@@ -20,7 +20,8 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array3, ArrayView1, Axis};
 use std::sync::{Arc, OnceLock};
 
-/// Images that are fitted: parameters that all images share have smaller error bars than the modes of each.
+/// Images that are fitted: parameters that all images share have smaller error bars than the modes
+/// of each.
 const MAX_IMAGES: usize = 6;
 /// Most iterations of fits and steps: they reach 12 % of plate scale and six degrees of rotation.
 const MAX_ITERATIONS: usize = 12;
@@ -28,7 +29,8 @@ const MAX_ITERATIONS: usize = 12;
 const TOLERANCE: f64 = 0.1;
 /// Converged where the last step is less than this fraction of the derivatives' step: rounding.
 const ROUNDING: f64 = 1e-4;
-/// Largest step of one iteration, in steps of the derivatives: they hold for about half a pixel at the rim of the spot.
+/// Largest step of one iteration, in steps of the derivatives: they hold for about half a pixel at
+/// the rim of the spot.
 const MAX_STEP: f64 = 10.0;
 
 /// The search, with what all iterations share.
@@ -50,8 +52,8 @@ pub(super) struct ParameterSearch {
 }
 
 impl ParameterSearch {
-    /// The search for the parameters that `scene` names in images of `cube`, and the scene's values of them; `native` as in
-    /// [`ModalFitter::new`].
+    /// The search for the parameters that `scene` names in images of `cube`, and the scene's values
+    /// of them; `native` as in [`ModalFitter::new`].
     ///
     /// # Errors
     /// [`Error::Scene`] for parameters that the scene does not have.
@@ -93,7 +95,8 @@ impl ParameterSearch {
         Ok((search, own))
     }
 
-    /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is lower there, else `start`.
+    /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is
+    /// lower there, else `start`.
     pub(super) fn better_start(
         &self,
         start: (Vec<f64>, ParameterIteration),
@@ -111,8 +114,8 @@ impl ParameterSearch {
         }
     }
 
-    /// Iterates from `start`, values and their iteration, and returns the fitter with the median reduced χ². `own` are the scene's
-    /// values.
+    /// Iterates from `start`, values and their iteration, and returns the fitter with the median
+    /// reduced χ². `own` are the scene's values.
     pub(super) fn run(&self, own: &[f64], start: (Vec<f64>, ParameterIteration)) -> Result<(ModalFitter, f64)> {
         let (values, iteration) = self.minimum(start)?;
         Ok((self.fitter_at(own, &values, &iteration)?, iteration.reduced_chi2))
@@ -139,7 +142,8 @@ impl ParameterSearch {
                     self.describe(&values)
                 )));
             }
-            // Half a step where a whole one raises χ², or leads to a scene whose model cannot be built.
+            // Half a step where a whole one raises χ², or leads to a scene whose model cannot be
+            // built.
             let mut refusal = None;
             let better = [1.0, 0.5, 0.25, 0.125].iter().find_map(|share| {
                 let next: Vec<f64> = values.iter().zip(&step).map(|(value, step)| value + share * step).collect();
@@ -172,7 +176,8 @@ impl ParameterSearch {
         Ok(estimator)
     }
 
-    /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's values.
+    /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's
+    /// values.
     fn fitted(
         &self,
         telescope: &Telescope,
@@ -275,7 +280,8 @@ impl ParameterSearch {
         equations.solve(&estimator)
     }
 
-    /// For each parameter, the models one step below and one step above `values`, for the same modes and pixels.
+    /// For each parameter, the models one step below and one step above `values`, for the same
+    /// modes and pixels.
     fn perturbed_models(
         &self,
         scene: &System,

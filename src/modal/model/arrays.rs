@@ -1,4 +1,5 @@
-//! Models of a telescope that the caller gives as arrays: pupil amplitude, segment labels, modes, diversity.
+//! Models of a telescope that the caller gives as arrays: pupil amplitude, segment labels, modes,
+//! diversity.
 
 use crate::modal::fitter::{ModalFitter, refuse_budget, refuse_fit_optics, refuse_full_phase};
 use crate::modal::model::Model;
@@ -12,44 +13,53 @@ use crate::telescope::{Diversity, MapOnGrid, Telescope, continued};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayViewMut2};
 
-/// Width of the grid where the scene states none. No result depends on it unless the scene has other lengths in metres.
+/// Width of the grid where the scene states none. No result depends on it unless the scene has
+/// other lengths in metres.
 const UNSTATED_WIDTH_M: f64 = 1.0;
 
-/// A telescope, its modes and its diversity as maps of the caller's, in place of the scene's. All are `[y, x]` on one
-/// grid of n × n samples, n even, with the axis between the two central ones; the grid is `pupil.grid_m` wide.
+/// A telescope, its modes and its diversity as maps of the caller's, in place of the scene's. All
+/// are `[y, x]` on one grid of n × n samples, n even, with the axis between the two central ones;
+/// the grid is `pupil.grid_m` wide.
 #[derive(Debug, Clone)]
 pub struct Arrays {
     /// Share of the light that each sample passes, 0 to 1, `[y, x]`.
     pub amplitude: Array2<f64>,
-    /// Label of the segment of each sample, `[y, x]`, as [`Pupil::from_maps`](crate::pupil::Pupil::from_maps) takes them: negative where there is none; `None` for a telescope of one piece.
+    /// Label of the segment of each sample, `[y, x]`, as
+    /// [`Pupil::from_maps`](crate::pupil::Pupil::from_maps) takes them: negative where there is
+    /// none; `None` for a telescope of one piece.
     pub segments: Option<Array2<i32>>,
-    /// NCPA modes, `[mode, y, x]`, nm for each nm of their coefficients, which keep this order and this scale; named
-    /// `mode-1`, `mode-2`, … Values where the amplitude is 0 are ignored, NaN included.
+    /// NCPA modes, `[mode, y, x]`, nm for each nm of their coefficients, which keep this order and
+    /// this scale; named `mode-1`, `mode-2`, … Values where the amplitude is 0 are ignored, NaN
+    /// included.
     pub modes: Option<Array3<f64>>,
     /// Diversity, `[y, x]`, nm. Values where the amplitude is 0 are ignored, NaN included.
     pub diversity_nm: Option<Array2<f64>>,
 }
 
 impl ModalFitter {
-    /// A fitter for the pupil in `arrays` and the other arrays that it holds; the rest is the scene's. The scene's own pupil,
-    /// and its files for which there is an array, are ignored: [`Scene::for_arrays`](crate::Scene::for_arrays) reads a scene without checking
-    /// them.
+    /// A fitter for the pupil in `arrays` and the other arrays that it holds; the rest is the
+    /// scene's. The scene's own pupil, and its files for which there is an array, are ignored:
+    /// [`Scene::for_arrays`](crate::Scene::for_arrays) reads a scene without checking them.
     ///
-    /// The arrays have the effect of the same maps in the files `pupil.file`, `modes.file` and `image.diversity_file`:
+    /// The arrays have the effect of the same maps in the files `pupil.file`, `modes.file` and
+    /// `image.diversity_file`:
     ///
-    /// * **Pupil**: one of at least twice `pupil.samples` is averaged onto that grid and band-limited ([`Telescope::of_maps`]).
-    ///   `pupil.grid_m` is needed only where lengths matter, as for `modes.ncpa = "kl"`, the default.
-    /// * **Segment modes** are those of `modes.segment` for the labelled segments, pistons by default also with NCPA modes of `arrays`,
-    ///   which hold no segment modes. Without labels there are none, because the piston of a single piece does not change the image.
+    /// * **Pupil**: one of at least twice `pupil.samples` is averaged onto that grid and
+    ///   band-limited ([`Telescope::of_maps`]). `pupil.grid_m` is needed only where lengths matter,
+    ///   as for `modes.ncpa = "kl"`, the default.
+    /// * **Segment modes** are those of `modes.segment` for the labelled segments, pistons by
+    ///   default also with NCPA modes of `arrays`, which hold no segment modes. Without labels
+    ///   there are none, because the piston of a single piece does not change the image.
     /// * **NCPA modes** are those of `arrays`, on the grid of `pupil.samples`, else the scene's.
     /// * **Exact Zernikes** join both, unless `modes.exact_zernikes` says otherwise.
     /// * **Diversity** is that of `arrays`, else the scene's.
     ///
     /// # Errors
-    /// [`Error::Shape`] for maps that are not square, of an even side and of one size; [`Error::Value`] for an amplitude
-    /// outside \[0, 1\], a pupil without illuminated samples, labels that leave out an illuminated sample, modes
-    /// or a diversity that are not finite at an illuminated sample, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
-    /// pupil; those of [`Model::new`].
+    /// [`Error::Shape`] for maps that are not square, of an even side and of one size;
+    /// [`Error::Value`] for an amplitude outside \[0, 1\], a pupil without illuminated samples,
+    /// labels that leave out an illuminated sample, modes or a diversity that are not finite at an
+    /// illuminated sample, and where no mode is left; [`Error::Scene`] where the scene's basis
+    /// cannot be built on this pupil; those of [`Model::new`].
     pub fn from_arrays(scene: &System, arrays: &Arrays) -> Result<Self> {
         refuse_budget(scene)?;
         refuse_fit_optics(scene)?;
@@ -97,8 +107,8 @@ fn build_modes(scene: &System, arrays: &Arrays, recipe: &Recipe, telescope: &Tel
     ModeSet::from_scene(scene, segment, recipe, telescope, &SceneBasis::default())
 }
 
-/// Motions of the labelled segments. Pistons are the scene's default, so that pistons without labels are no error; tips and
-/// tilts without labels are one.
+/// Motions of the labelled segments. Pistons are the scene's default, so that pistons without
+/// labels are no error; tips and tilts without labels are one.
 fn segment_modes(scene: &System, arrays: &Arrays) -> Result<SegmentModes> {
     match (scene.modes.segment, &arrays.segments) {
         (modes, Some(_)) => Ok(modes),
@@ -138,8 +148,8 @@ fn diversity_from_map(map: &Array2<f64>, arrays: &Arrays, pupil: &Pupil) -> Resu
     Ok(Diversity::Map(MapOnGrid::new(continued(map, width_m, pupil), width_m)?))
 }
 
-/// Refuses values that are not finite at illuminated samples, and replaces them by 0 elsewhere: maps are commonly NaN outside
-/// the pupil.
+/// Refuses values that are not finite at illuminated samples, and replaces them by 0 elsewhere:
+/// maps are commonly NaN outside the pupil.
 fn check_finite_in_pupil(mut map: ArrayViewMut2<f64>, name: &str, amplitude: &Array2<f64>) -> Result<()> {
     for ((y, x), value) in map.indexed_iter_mut().filter(|(_, value)| !value.is_finite()) {
         if amplitude[[y, x]] > 0.0 {

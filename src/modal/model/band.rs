@@ -1,14 +1,16 @@
 //! Wavelengths of a model of a filter with a width.
 //!
-//! The wavelength of the model is the mean of the photons, which `image.wavelength_nm` is for a flat filter: pistons that differ by
-//! it look alike in a band, and one wavelength at the mean has no error of the first order in the filter's width.
+//! The wavelength of the model is the mean of the photons, which `image.wavelength_nm` is for a
+//! flat filter: pistons that differ by it look alike in a band, and one wavelength at the mean has
+//! no error of the first order in the filter's width.
 
 use crate::imaging::Colour;
 use crate::scene::{Optimizer, System};
 use crate::telescope::{Diversity, Filter, Telescope};
 use crate::{Error, Result};
 
-/// Most wavelengths where the scene does not name their number: enough for a band of 30 % behind the paper's defocus.
+/// Most wavelengths where the scene does not name their number: enough for a band of 30 % behind
+/// the paper's defocus.
 const MAX_WAVELENGTHS: usize = 15;
 
 /// Light of a model.

@@ -1,7 +1,9 @@
-//! Memory of an estimate, by a formula, and the tiles into which its work is divided to stay within a limit.
+//! Memory of an estimate, by a formula, and the tiles into which its work is divided to stay within
+//! a limit.
 //!
-//! With n pupil samples and m pixels a side, M modes of which D fill the pupil, L illuminated samples with E segment weights,
-//! C wavelengths, T threads and I images, in bytes and with S = 8 for a number:
+//! With n pupil samples and m pixels a side, M modes of which D fill the pupil, L illuminated
+//! samples with E segment weights, C wavelengths, T threads and I images, in bytes and with S = 8
+//! for a number:
 //!
 //! ```text
 //! model     S·(D·n² + C·(3·D·L + 9·n² + 12·E + 24·L + 2·n·m)) + 2²⁶
@@ -13,24 +15,27 @@
 //!           images:      S·(7·m² + 70·M) for each that is fitted at once, one at least
 //! ```
 //!
-//! All but `kept` and the images themselves, which are the caller's, stays within `estimate.memory_gb`: the tiles share what
-//! the rest leaves. Tiles change the sums over pixels by their rounding, and no bit of the fits. A device holds its share of
-//! `images` in its own memory.
+//! All but `kept` and the images themselves, which are the caller's, stays within
+//! `estimate.memory_gb`: the tiles share what the rest leaves. Tiles change the sums over pixels by
+//! their rounding, and no bit of the fits. A device holds its share of `images` in its own memory.
 
 use crate::machine;
 use crate::modal::model::recipe::Recipe;
 use crate::scene::{NcpaBasis, NollRange, System};
 use crate::{Error, Result};
 
-/// Memory of a fit of any size: libraries, and the fine pupil on which the moments of a geometric one are computed.
+/// Memory of a fit of any size: libraries, and the fine pupil on which the moments of a geometric
+/// one are computed.
 pub(in crate::modal) const BASE_BYTES: usize = 64 << 20;
 /// Bytes of a number.
 pub(in crate::modal) const NUMBER: usize = size_of::<f64>();
-/// Square matrices that a call with several images keeps: ten metrics, and eight images' Fisher matrix and covariance.
+/// Square matrices that a call with several images keeps: ten metrics, and eight images' Fisher
+/// matrix and covariance.
 pub(in crate::modal) const KEPT_MATRICES: usize = 26;
 /// Square matrices of one eigen-decomposition or inverse, its input and its result included.
 pub(in crate::modal) const WORKING_MATRICES: usize = 7;
-/// Most matrices that are decomposed at the same time, for any number of threads: their memory goes as modes squared.
+/// Most matrices that are decomposed at the same time, for any number of threads: their memory goes
+/// as modes squared.
 pub(in crate::modal) const MATRICES_AT_ONCE: usize = 4;
 
 /// Memory of an estimate, bytes: upper bounds.
@@ -68,7 +73,8 @@ impl Memory {
         [self.model, self.threads, self.matrices, tiles].into_iter().fold(0, usize::saturating_add)
     }
 
-    /// The most that an estimate from `images` images takes within `limit` bytes; less than the limit where it needs no tiles.
+    /// The most that an estimate from `images` images takes within `limit` bytes; less than the
+    /// limit where it needs no tiles.
     pub fn most_bytes(&self, images: usize, limit: usize) -> usize {
         let tiles = self.tiles(limit);
         let derivatives = 2 * tiles.derivative_bytes.min(self.rows * self.derivative_row);
@@ -77,8 +83,8 @@ impl Memory {
         [self.model, self.threads, self.matrices, derivatives, fitted, kept].into_iter().fold(0, usize::saturating_add)
     }
 
-    /// The tiles within `limit` bytes: half of what is left is for the images, a quarter for the metrics' derivatives,
-    /// a quarter for those of the Fisher matrices.
+    /// The tiles within `limit` bytes: half of what is left is for the images, a quarter for the
+    /// metrics' derivatives, a quarter for those of the Fisher matrices.
     pub fn tiles(&self, limit: usize) -> Tiles {
         let spare = limit.saturating_sub(self.least_bytes());
         Tiles {

@@ -15,8 +15,8 @@ use std::sync::OnceLock;
 
 /// A mode is dropped where those before it span all but this fraction of it.
 const SMALLEST_REMAINDER: f64 = 1e-3;
-/// The same for a Zernike with a prior: what is dropped is an error of the coefficients of those that span it, of 1 % of its
-/// own at most.
+/// The same for a Zernike with a prior: what is dropped is an error of the coefficients of those
+/// that span it, of 1 % of its own at most.
 const SMALLEST_PRIOR_REMAINDER: f64 = 0.01;
 
 /// The smooth modes: functions, or maps on the scene's grid.
@@ -71,8 +71,8 @@ struct NcpaModes {
     smooth: Smooth,
     sampled: Option<Basis>,
     dropped: Vec<String>,
-    /// Zernikes with a prior on the circle around the pupil: their maps, and how many of the modes, the last, are what they
-    /// add to the others.
+    /// Zernikes with a prior on the circle around the pupil: their maps, and how many of the modes,
+    /// the last, are what they add to the others.
     with_prior: Option<(Basis, usize)>,
 }
 
@@ -95,7 +95,8 @@ impl NcpaModes {
         Ok(Self { smooth: Smooth::Functions(smooth), sampled, dropped, with_prior })
     }
 
-    /// Modes given by their maps, unchanged, followed by what the exact Zernikes add to the NCPA among them.
+    /// Modes given by their maps, unchanged, followed by what the exact Zernikes add to the NCPA
+    /// among them.
     fn from_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
         let (mut basis, mut dropped) = (given, Vec::new());
         if let NollRange::Span { first, last } = recipe.exact_zernikes {
@@ -193,7 +194,8 @@ impl SceneBasis {
     }
 }
 
-/// Exact Zernikes first, then what the scene's basis adds to them, and the names of its modes that were dropped.
+/// Exact Zernikes first, then what the scene's basis adds to them, and the names of its modes that
+/// were dropped.
 fn functions(
     scene: &System,
     recipe: &Recipe,
@@ -221,8 +223,8 @@ fn functions(
     })
 }
 
-/// `before`, then what the petals of `scene` add to them: the last piston, for instance, is in the span of the others and a piston of
-/// the pupil.
+/// `before`, then what the petals of `scene` add to them: the last piston, for instance, is in the
+/// span of the others and a piston of the pupil.
 fn with_petals(before: Option<SmoothBasis>, scene: &System, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
     match (before, telescope.petals(scene.modes.petals)?) {
         (before, None) => Ok(before),
@@ -269,7 +271,8 @@ pub(in crate::modal) fn on_grid(
     Basis::from_cube(names, groups, maps)
 }
 
-/// `given`, followed by what `zernikes` add to its NCPA modes; and the names of those of which less than `smallest` is left.
+/// `given`, followed by what `zernikes` add to its NCPA modes; and the names of those of which less
+/// than `smallest` is left.
 fn with_remainders(given: Basis, zernikes: &Basis, smallest: f64, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
     let (added, dropped) = remainders(&given, zernikes, smallest, pupil);
     if added.is_empty() {
@@ -281,8 +284,8 @@ fn with_remainders(given: Basis, zernikes: &Basis, smallest: f64, pupil: &Pupil)
     Ok((given.followed_by(&Basis::from_cube(names, vec![Group::Ncpa; added.len()], maps)?)?, dropped))
 }
 
-/// What each extra mode adds to the NCPA modes of `given` (and to the extras before it), at unit RMS over the pupil;
-/// and the names of those that add nothing.
+/// What each extra mode adds to the NCPA modes of `given` (and to the extras before it), at unit
+/// RMS over the pupil; and the names of those that add nothing.
 fn remainders(given: &Basis, extra: &Basis, smallest: f64, pupil: &Pupil) -> (Vec<(String, Array2<f64>)>, Vec<String>) {
     let root: Array1<f64> = pupil.amplitude.iter().map(|a| (a / pupil.weight_sum()).sqrt()).collect();
     let flat = |basis: &Basis, keep: &dyn Fn(usize) -> bool| -> Vec<Array1<f64>> {

@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Fitter for images with bad pixels (`true`), which are not reduced, or for others.
 type KeptFitter = (bool, ModalFitter);
 
-/// Karhunen-Loève basis of a scene, which takes most of the time of building a model, and the fitter that an estimate used last. The
-/// files that a scene names are read when they are built.
+/// Karhunen-Loève basis of a scene, which takes most of the time of building a model, and the
+/// fitter that an estimate used last. The files that a scene names are read when they are built.
 #[derive(Clone, Default)]
 pub struct ModelCache {
     pub(in crate::modal) basis: Arc<SceneBasis>,
@@ -19,12 +19,14 @@ pub struct ModelCache {
 }
 
 impl ModelCache {
-    /// The cache for the scene `other` of one that was made for `scene`: shared where both have the same basis.
+    /// The cache for the scene `other` of one that was made for `scene`: shared where both have the
+    /// same basis.
     pub(crate) fn for_scene(&self, scene: &System, other: &System) -> Self {
         if same_basis(scene, other) { self.clone() } else { Self::default() }
     }
 
-    /// The fitter of `scene` by `recipe`: that of the last call, with the metrics that it has computed, where that was for the same.
+    /// The fitter of `scene` by `recipe`: that of the last call, with the metrics that it has
+    /// computed, where that was for the same.
     ///
     /// # Errors
     /// Those of [`ModalFitter::new`].

@@ -23,12 +23,13 @@ impl Model {
         let maps = self.telescope.pupil.grid.samples().pow(2);
         let frame = self.preparation.frame[0] * self.preparation.frame[1];
         let k = n.max(m + 2);
-        // The maps; the optics and two chains, which have their values at the illuminated samples; pupil, weights and tables.
+        // The maps; the optics and two chains, which have their values at the illuminated samples;
+        // pupil, weights and tables.
         let colours = parts.colours.len();
         let each = 3 * smooth * illuminated + 9 * maps.max(n * n) + 12 * entries + 24 * illuminated + 2 * n * m;
         let model = smooth * maps + colours * each;
-        // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's preparation.
-        // Pixels with an area: two images of each chain, and the rows of a derivative.
+        // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's
+        // preparation. Pixels with an area: two images of each chain, and the rows of a derivative.
         let area = if parts.pixel.iter().all(PixelResponse::is_point) { 0 } else { 7 * m * m };
         let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * illuminated) + 8 * frame + area;
         let square = modes * modes * NUMBER;
@@ -48,12 +49,12 @@ impl Model {
         self.memory(rayon::current_num_threads()).tiles(self.limit_bytes)
     }
 
-    /// This model, with tiles that stay within the scene's `estimate.memory_gb` and within the memory that the machine has
-    /// left.
+    /// This model, with tiles that stay within the scene's `estimate.memory_gb` and within the
+    /// memory that the machine has left.
     ///
     /// # Errors
-    /// [`Error::Scene`] where not even the smallest tiles stay within the scene's limit, [`Error::Value`] where they do not
-    /// within the machine's.
+    /// [`Error::Scene`] where not even the smallest tiles stay within the scene's limit,
+    /// [`Error::Value`] where they do not within the machine's.
     pub(in crate::modal) fn within_memory(mut self) -> Result<Self> {
         let memory = self.memory(rayon::current_num_threads());
         memory.check(self.limit_bytes)?;

@@ -8,18 +8,20 @@ use crate::pupil::{BandLimit, Pupil, SegmentWeights};
 use crate::scene::{Crop, PupilModel, Sampling, System};
 use crate::telescope::{Diversity, Telescope};
 
-/// Spare samples on each side of the pupil in a band-limited model, fewest and most: the weights ring beyond the pupil,
-/// and the part beyond the grid is lost. Every spare sample is one less across the pupil: at 120 samples 4 leave
-/// 0.026 nm of NCPA where 1 leaves 0.037 (the noise 0.1), at 96 samples 0.7 where 1 leaves 0.12.
+/// Spare samples on each side of the pupil in a band-limited model, fewest and most: the weights
+/// ring beyond the pupil, and the part beyond the grid is lost. Every spare sample is one less
+/// across the pupil: at 120 samples 4 leave 0.026 nm of NCPA where 1 leaves 0.037 (the noise 0.1),
+/// at 96 samples 0.7 where 1 leaves 0.12.
 const SPARE_SAMPLES: (f64, f64) = (1.0, 4.0);
-/// Half of the low pass's transition, cycles, on either side of the Nyquist frequency: it keeps the ringing short. 8
-/// keeps 3.8 weights a sample where 4 keeps 5.6, and the error is no larger.
+/// Half of the low pass's transition, cycles, on either side of the Nyquist frequency: it keeps the
+/// ringing short. 8 keeps 3.8 weights a sample where 4 keeps 5.6, and the error is no larger.
 const HALF_TRANSITION: f64 = 8.0;
 /// What the aberrations add to the frequencies of the defocus, cycles.
 pub(crate) const ABERRATION_CYCLES: f64 = 4.0;
 /// λ/D around the geometric spot that still carry signal worth fitting.
 pub(crate) const SPOT_MARGIN: f64 = 3.0;
-/// Least half-width of the fitted image, λ/D: without defocus the light of single segments still spreads this far.
+/// Least half-width of the fitted image, λ/D: without defocus the light of single segments still
+/// spreads this far.
 pub(crate) const LEAST_HALF_WIDTH: f64 = 16.0;
 
 /// Pixels that are fitted, and their sampling.
@@ -60,13 +62,14 @@ impl PixelPlan {
         let beyond = samples / 2.0 - (half_width + spot + ABERRATION_CYCLES);
         let spare_samples = beyond.clamp(SPARE_SAMPLES.0, SPARE_SAMPLES.1) as usize;
         if recipe.pupil_model == PupilModel::BandLimited {
-            // Not wider than the samples can carry: aliasing beyond that costs more than the light that is left out, down to
-            // two thirds of the spot.
+            // Not wider than the samples can carry: aliasing beyond that costs more than the light
+            // that is left out, down to two thirds of the spot.
             let carried = samples / 2.0 - spare_samples as f64 - spot - ABERRATION_CYCLES;
             half_width = half_width.min(carried.max(spot * 2.0 / 3.0).max(LEAST_HALF_WIDTH));
         }
         let signal = 2.0 * per_lambda_over_d * half_width;
-        // The part that is fitted is square: up to the frame's longer side, lest light along it be lost.
+        // The part that is fitted is square: up to the frame's longer side, lest light along it be
+        // lost.
         let longest = reduced[0].max(reduced[1]);
         let pixels = match image.crop_pixels {
             Crop::Pixels(native) => 2 * (native * longest / rows.max(columns) / 2).max(4),
@@ -91,8 +94,8 @@ fn samples(scene: &System) -> usize {
 
 /// Grid of the model, with spare samples around the pupil, and the weights on it.
 ///
-/// The pass band holds every frequency of the pupil that light of the spot can bring into the image: half the image and
-/// the spot, and a little for the aberrations.
+/// The pass band holds every frequency of the pupil that light of the spot can bring into the
+/// image: half the image and the spot, and a little for the aberrations.
 pub(in crate::modal) fn band_limited_weights(
     scene: &System,
     telescope: &Telescope,

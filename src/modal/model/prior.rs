@@ -1,8 +1,9 @@
-//! Gaussian prior of the Zernikes beyond the exact ones, with a marginalised level (hierarchical Bayes).
+//! Gaussian prior of the Zernikes beyond the exact ones, with a marginalised level (hierarchical
+//! Bayes).
 //!
-//! A model that leaves out modes, because one image does not show them, is biased by them in the mean of many images. So they
-//! are fitted to each image without a prior, and the combined coefficients c with covariance C get the prior once, for any
-//! number of images:
+//! A model that leaves out modes, because one image does not show them, is biased by them in the
+//! mean of many images. So they are fitted to each image without a prior, and the combined
+//! coefficients c with covariance C get the prior once, for any number of images:
 //!
 //! ```text
 //! b ~ N(0, τ² Q)      the modes with a prior, Q = R D Rᵀ
@@ -11,10 +12,12 @@
 //! c' = c − C_b (C_bb + τ² Q)⁻¹ b          C' = C − C_b (C_bb + τ² Q)⁻¹ C_bᵀ
 //! ```
 //!
-//! The level τ is not known. Its likelihood follows from b ~ N(0, C_bb + τ² Q); with a uniform prior of the standard deviation τ
-//! (Gelman 2006, *Bayesian Analysis* 1, 515) mean and covariance are averaged over its posterior. Where the images show no
-//! such modes the result is that of the smaller basis, up to a few per cent of the error bars; where they show them it is that
-//! of a fit without a prior. C_bb and Q are diagonalised together, so that each level takes a sum over the modes.
+//! The level τ is not known. Its likelihood follows from b ~ N(0, C_bb + τ² Q); with a uniform
+//! prior of the standard deviation τ (Gelman 2006, *Bayesian Analysis* 1, 515) mean and covariance
+//! are averaged over its posterior. Where the images show no such modes the result is that of the
+//! smaller basis, up to a few per cent of the error bars; where they show them it is that of a fit
+//! without a prior. C_bb and Q are diagonalised together, so that each level takes a sum over the
+//! modes.
 
 use crate::Result;
 use crate::modal::combine::combined_modes::CombinedModes;
@@ -24,15 +27,19 @@ use crate::pupil::Pupil;
 use ndarray::{Array1, Array2, Axis, s};
 use std::ops::Range;
 
-/// Power of the radial order with which the variances of the Zernikes fall. Over the three orders from 6 to 8 another power
-/// from −1 to −4 changes a variance by at most 1.8, which the level takes up in part.
+/// Power of the radial order with which the variances of the Zernikes fall. Over the three orders
+/// from 6 to 8 another power from −1 to −4 changes a variance by at most 1.8, which the level takes
+/// up in part.
 const POWER: f64 = -2.0;
-/// Levels for each factor of ten: steps of 15 %, the standard deviation of a level that 24 modes determine.
+/// Levels for each factor of ten: steps of 15 %, the standard deviation of a level that 24 modes
+/// determine.
 const LEVELS_A_DECADE: i32 = 16;
-/// Levels reach from so many decades below the largest coefficient or error bar to one above it. Below a hundredth of the
-/// smallest error bar a level has no effect, and error bars of modes differ by less than a factor of a hundred.
+/// Levels reach from so many decades below the largest coefficient or error bar to one above it.
+/// Below a hundredth of the smallest error bar a level has no effect, and error bars of modes
+/// differ by less than a factor of a hundred.
 const DECADES_BELOW: i32 = 5;
-/// Eigenvalues of Q below this fraction of the largest are null: those of remainders of 1 % and more are above.
+/// Eigenvalues of Q below this fraction of the largest are null: those of remainders of 1 % and
+/// more are above.
 const NULL_FLOOR: f64 = 1e-10;
 
 /// Prior of some of the modes.
@@ -45,8 +52,8 @@ pub(in crate::modal) struct Prior {
 }
 
 impl Prior {
-    /// The prior of the last `count` modes of `basis`, which are what `zernikes` (on the circle around `pupil`, the first of
-    /// them `first_noll`) add to the others; `None` without modes.
+    /// The prior of the last `count` modes of `basis`, which are what `zernikes` (on the circle
+    /// around `pupil`, the first of them `first_noll`) add to the others; `None` without modes.
     ///
     /// # Errors
     /// [`crate::Error::Shape`] for a basis of another pupil.
@@ -157,7 +164,8 @@ mod tests {
         let covariance_nm2 = array![[1.0, 0.5, 0.2], [0.5, 1.0, 0.1], [0.2, 0.1, 1.0]] * 1e-4;
         let given = CombinedModes { coefficients_nm: vec![3.0, 5.0, -4.0], covariance_nm2 };
         let found = prior().posterior(&given).unwrap();
-        // A prior of some 5 nm pulls by 1e-4/25 of the coefficient, and its level changes that by as much.
+        // A prior of some 5 nm pulls by 1e-4/25 of the coefficient, and its level changes that by
+        // as much.
         for (a, b) in found.coefficients_nm.iter().zip(&given.coefficients_nm) {
             assert!((a - b).abs() < 1e-4, "{a} {b}");
         }
@@ -181,7 +189,8 @@ mod tests {
 
     #[test]
     fn error_bars_are_those_of_the_errors() {
-        // 400 draws of three modes: c = truth + noise, with truth of 0 or 2 standard deviations in the modes with a prior.
+        // 400 draws of three modes: c = truth + noise, with truth of 0 or 2 standard deviations in
+        // the modes with a prior.
         use rand::SeedableRng;
         use rand_distr::{Distribution, StandardNormal};
         let mut rng = rand_chacha::ChaCha12Rng::seed_from_u64(1);
@@ -208,8 +217,9 @@ mod tests {
                 squares += (Array1::from(found.coefficients_nm) - &truth).mapv(|e| e * e).sum();
                 bars += found.covariance_nm2.diag().sum();
             }
-            // 400 draws of 25 numbers: 1 %, and 2 % of the prior of the level. Where the level is 0 its posterior is above it:
-            // the modes have error bars of half their noise, and errors of a quarter.
+            // 400 draws of 25 numbers: 1 %, and 2 % of the prior of the level. Where the level is 0
+            // its posterior is above it: the modes have error bars of half their noise, and errors
+            // of a quarter.
             let pull = (squares / bars).sqrt();
             assert!(
                 if level == 0.0 { (0.4..0.7).contains(&pull) } else { (0.95..1.06).contains(&pull) },

@@ -2,14 +2,14 @@
 
 use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, System, Weighting};
 
-/// Restarts of a fit that ended in a wrong minimum. Of 8 draws with pistons of 500 nm RMS at a peak S/N of 30 one needs more than
-/// three.
+/// Restarts of a fit that ended in a wrong minimum. Of 8 draws with pistons of 500 nm RMS at a peak
+/// S/N of 30 one needs more than three.
 const RESTARTS: usize = 6;
-/// All Zernikes to radial order 5: with 66 Karhunen-Loève modes they span the low-order NCPA, of which a mirror of small
-/// coupling spans only 75 to 95 %.
+/// All Zernikes to radial order 5: with 66 Karhunen-Loève modes they span the low-order NCPA, of
+/// which a mirror of small coupling spans only 75 to 95 %.
 const EXACT: NollRange = NollRange::Span { first: 2, last: 21 };
-/// Radial orders 6 to 8, which NCPA of polished optics reach with a few per cent of their variance. Of higher orders 66
-/// Karhunen-Loève modes span as much as the images of a monolithic mirror show.
+/// Radial orders 6 to 8, which NCPA of polished optics reach with a few per cent of their variance.
+/// Of higher orders 66 Karhunen-Loève modes span as much as the images of a monolithic mirror show.
 const WITH_PRIOR: NollRange = NollRange::Span { first: 22, last: 45 };
 
 /// The choices of one fit. [`Recipe::from_scene`] fills in what the scene leaves open.
@@ -31,8 +31,8 @@ pub struct Recipe {
     pub sampling: Sampling,
     /// How the model samples a geometric pupil, or a fine map of one.
     pub pupil_model: PupilModel,
-    /// Least pass band of a band-limited pupil, cycles, as far as its samples carry it: the same for models that are to have the
-    /// same weights; 0 for what the image needs.
+    /// Least pass band of a band-limited pupil, cycles, as far as its samples carry it: the same
+    /// for models that are to have the same weights; 0 for what the image needs.
     pub least_pass_cycles: f64,
     /// Zernikes that are always estimated exactly.
     pub exact_zernikes: NollRange,
@@ -40,13 +40,15 @@ pub struct Recipe {
     pub prior_zernikes: NollRange,
     /// Most evaluations for one image.
     pub max_evaluations: usize,
-    /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
+    /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more
+    /// than this.
     pub step_tolerance_nm: f64,
     /// How often a fit that ended in a wrong minimum is restarted from a perturbed start.
     pub restarts: usize,
     /// Whether pixels that the model does not explain are rejected as the weights are renewed.
     pub reject_outliers: bool,
-    /// Whether images that the model does not explain are searched for outlier pixels and fitted again without them.
+    /// Whether images that the model does not explain are searched for outlier pixels and fitted
+    /// again without them.
     pub search_outliers: bool,
     /// How the images are combined.
     pub combine: Combine,
@@ -55,17 +57,18 @@ pub struct Recipe {
 impl Recipe {
     /// The recipe of `scene`.
     ///
-    /// `optimizer = "bfgs"` is the paper's method as a whole: a hard-edged pupil of grey samples, the scene's own modes
-    /// and no others, an unweighted objective with the flux fixed to the image's sum and no background, the whole image
-    /// at Nyquist sampling, BFGS from zero. Ours weighs by the noise, fits flux and background, samples the pupil with
-    /// band-limited weights, crops to the signal, and estimates low Zernikes exactly. `"paper"` is the paper's recipe with our
-    /// optimiser.
+    /// `optimizer = "bfgs"` is the paper's method as a whole: a hard-edged pupil of grey samples,
+    /// the scene's own modes and no others, an unweighted objective with the flux fixed to the
+    /// image's sum and no background, the whole image at Nyquist sampling, BFGS from zero. Ours
+    /// weighs by the noise, fits flux and background, samples the pupil with band-limited weights,
+    /// crops to the signal, and estimates low Zernikes exactly. `"paper"` is the paper's recipe
+    /// with our optimiser.
     pub fn from_scene(scene: &System) -> Self {
         Self::with_optimizer(scene, scene.estimate.optimizer)
     }
 
-    /// The paper's objective with our optimiser, in place of the one that `scene` names; the scene's other keys of the fit are
-    /// used.
+    /// The paper's objective with our optimiser, in place of the one that `scene` names; the
+    /// scene's other keys of the fit are used.
     pub fn paper_objective(scene: &System) -> Self {
         Self::with_optimizer(scene, Optimizer::Paper)
     }
@@ -93,8 +96,9 @@ impl Recipe {
             prior_zernikes: NollRange::None,
             // BFGS needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
-            // The paper's objective is used where the modes do not span the wavefront: this tolerance ends within 0.03 nm of the
-            // minimum in three quarters of the evaluations, where images of turbulence scatter by 20 nm.
+            // The paper's objective is used where the modes do not span the wavefront: this
+            // tolerance ends within 0.03 nm of the minimum in three quarters of the evaluations,
+            // where images of turbulence scatter by 20 nm.
             step_tolerance_nm: estimate.step_tolerance_nm.unwrap_or(if optimizer == Optimizer::Paper {
                 1e-2
             } else {
@@ -108,9 +112,9 @@ impl Recipe {
         }
     }
 
-    /// [`Recipe::from_scene`] with a prior on further Zernikes, those of radial orders 6 to 8, where the scene leaves the exact
-    /// Zernikes open: a χ² does not show modes that are small in one image and large in the mean of forty, and error bars
-    /// without them would be too small.
+    /// [`Recipe::from_scene`] with a prior on further Zernikes, those of radial orders 6 to 8,
+    /// where the scene leaves the exact Zernikes open: a χ² does not show modes that are small in
+    /// one image and large in the mean of forty, and error bars without them would be too small.
     pub fn with_prior(scene: &System) -> Self {
         let own = Self::from_scene(scene);
         let is_open = scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none();

@@ -14,8 +14,8 @@ pub struct CameraMaps {
     pub bad: Option<Array2<bool>>,
 }
 
-/// Turns raw values into electrons: (raw − dark)·gain/flat. Pixels whose dark is not finite or whose flat is not positive are
-/// bad; so is a value at or above the saturation.
+/// Turns raw values into electrons: (raw − dark)·gain/flat. Pixels whose dark is not finite or
+/// whose flat is not positive are bad; so is a value at or above the saturation.
 #[derive(Debug, Clone)]
 pub struct Calibration {
     dark: Array2<f64>,
@@ -26,12 +26,12 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// A calibration for frames of `shape` (rows, columns). `gain_e` are electrons per raw unit; `saturation` is in raw units, and
-    /// infinite where nothing saturates.
+    /// A calibration for frames of `shape` (rows, columns). `gain_e` are electrons per raw unit;
+    /// `saturation` is in raw units, and infinite where nothing saturates.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map of another shape, [`Error::Value`] for an impossible gain or saturation, or where no
-    /// pixel is left.
+    /// [`Error::Shape`] for a map of another shape, [`Error::Value`] for an impossible gain or
+    /// saturation, or where no pixel is left.
     pub fn new(shape: (usize, usize), maps: CameraMaps, gain_e: f64, saturation: f64) -> Result<Self> {
         if !(gain_e.is_finite() && gain_e > 0.0) {
             return Err(Error::Value(format!("gain_e is {gain_e}: a positive number of electrons is accepted")));

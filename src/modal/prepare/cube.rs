@@ -9,8 +9,8 @@ pub struct Cube<'a> {
     pub images_e: ArrayView3<'a, f64>,
     /// Bad pixels, `[image, y, x]`.
     pub bad: ArrayView3<'a, bool>,
-    /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the scatter of each
-    /// image's border.
+    /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the
+    /// scatter of each image's border.
     pub read_noise_e: Option<f64>,
 }
 

@@ -1,4 +1,5 @@
-//! Extents of the rows of a frame: number, range and sum of their good pixels, with vector instructions.
+//! Extents of the rows of a frame: number, range and sum of their good pixels, with vector
+//! instructions.
 
 use ndarray::ArrayView2;
 use pulp::{Arch, NullaryFnOnce};
@@ -40,8 +41,8 @@ impl Extent {
     }
 }
 
-/// Writes the extents of all rows of a frame, where none of its pixels is marked as bad or not finite; `None`
-/// where one is, or where its rows are not contiguous.
+/// Writes the extents of all rows of a frame, where none of its pixels is marked as bad or not
+/// finite; `None` where one is, or where its rows are not contiguous.
 pub(super) fn extents_of_clean_rows(
     data: ArrayView2<f64>,
     bad: ArrayView2<bool>,
@@ -51,7 +52,8 @@ pub(super) fn extents_of_clean_rows(
     Arch::new().dispatch(Frame { data, marks, columns: bad.ncols(), extents }).then_some(())
 }
 
-/// [`extents_of_clean_rows`] of contiguous rows, compiled for the widest vectors that this processor has.
+/// [`extents_of_clean_rows`] of contiguous rows, compiled for the widest vectors that this
+/// processor has.
 struct Frame<'a> {
     data: &'a [f64],
     marks: &'a [bool],
@@ -77,7 +79,8 @@ impl NullaryFnOnce for Frame<'_> {
     }
 }
 
-/// The extent of a row, and whether all of it is finite: in eight partial sums, so that it is vectorised.
+/// The extent of a row, and whether all of it is finite: in eight partial sums, so that it is
+/// vectorised.
 struct Row<'a>(&'a [f64]);
 
 impl NullaryFnOnce for Row<'_> {

@@ -1,11 +1,12 @@
-//! Outlier pixels of a frame that is sampled more finely than its light needs: cosmic rays, hot and dead pixels, without a model of the
-//! image.
+//! Outlier pixels of a frame that is sampled more finely than its light needs: cosmic rays, hot and
+//! dead pixels, without a model of the image.
 //!
-//! Each pixel is predicted from the 7 × 7 around it: the linear prediction of least mean square error (kriging) for light whose
-//! covariance is that of fully developed speckle behind a round pupil, |2 J₁(πr)/(πr)|² at r λ/D (Goodman, Speckle Phenomena in
-//! Optics, section 4.4). At 4 pixels per λ/D the prediction errs by 0.4 % of the light, at 3 by 0.6 %, at 2.5 by 1 %. The largest deviation of
-//! each neighbourhood is an outlier first, because neighbours of an outlier are predicted wrongly; it is then replaced by its
-//! prediction from those that are left.
+//! Each pixel is predicted from the 7 × 7 around it: the linear prediction of least mean square
+//! error (kriging) for light whose covariance is that of fully developed speckle behind a round
+//! pupil, |2 J₁(πr)/(πr)|² at r λ/D (Goodman, Speckle Phenomena in Optics, section 4.4). At 4
+//! pixels per λ/D the prediction errs by 0.4 % of the light, at 3 by 0.6 %, at 2.5 by 1 %. The
+//! largest deviation of each neighbourhood is an outlier first, because neighbours of an outlier
+//! are predicted wrongly; it is then replaced by its prediction from those that are left.
 
 use crate::fourier::disc;
 use crate::modal::prepare::Frame;
@@ -16,13 +17,14 @@ use crate::telescope::Filter;
 use cophase_numerics::cholesky::Cholesky;
 use ndarray::{Array2, ArrayView2, Axis, s};
 
-/// Standard deviations beyond which a pixel is an outlier. Only frames with outliers are searched: of 100,000 pixels of noise six are
-/// beyond, which costs nothing.
+/// Standard deviations beyond which a pixel is an outlier. Only frames with outliers are searched:
+/// of 100,000 pixels of noise six are beyond, which costs nothing.
 const LIMIT: f64 = 4.0;
-/// Largest share of outliers. Beyond, none is rejected: the frame or its noise is not what the scene says, and χ² shows it.
+/// Largest share of outliers. Beyond, none is rejected: the frame or its noise is not what the
+/// scene says, and χ² shows it.
 const MAX_SHARE: f64 = 0.1;
-/// Least sampling, pixels per λ/D, at which outliers can be found, and at which their predictions can take their place. At 2 a
-/// prediction errs by an eighth of the light.
+/// Least sampling, pixels per λ/D, at which outliers can be found, and at which their predictions
+/// can take their place. At 2 a prediction errs by an eighth of the light.
 const LEAST_SAMPLING: f64 = 1.9;
 /// See [`LEAST_SAMPLING`].
 const PREDICTABLE_SAMPLING: f64 = 2.5;
@@ -30,14 +32,17 @@ const PREDICTABLE_SAMPLING: f64 = 2.5;
 const REACH: usize = 3;
 /// Their number.
 const AROUND: usize = (2 * REACH + 1).pow(2) - 1;
-/// Places of a line that differ in what is around them: those near one end, in the middle, and near the other end.
+/// Places of a line that differ in what is around them: those near one end, in the middle, and near
+/// the other end.
 const EDGES: usize = 2 * REACH + 1;
-/// Least and largest variance of the noise as a share of that of the light to which a prediction is made. A smaller one predicts light
-/// better and amplifies noise: 0.15 % of the light and 0.9 of the variance at 1e-5 and 4 pixels per λ/D, 0.4 % and 0.6 at 1e-4.
+/// Least and largest variance of the noise as a share of that of the light to which a prediction is
+/// made. A smaller one predicts light better and amplifies noise: 0.15 % of the light and 0.9 of
+/// the variance at 1e-5 and 4 pixels per λ/D, 0.4 % and 0.6 at 1e-4.
 const NOISE_SHARES: [f64; 2] = [3e-6, 1e-3];
 /// Share of the pixels of a frame that are as bright as its light is taken to be.
 const LIT_SHARE: f64 = 0.05;
-/// That at 2 pixels per λ/D, where a smaller one amplifies the errors of outliers that are not found yet.
+/// That at 2 pixels per λ/D, where a smaller one amplifies the errors of outliers that are not
+/// found yet.
 const COARSE_NOISE_SHARE: f64 = 1e-2;
 /// Smallest read noise, e⁻, so that pixels without light and noise have a variance.
 const MIN_NOISE_E: f64 = 1.0;
@@ -49,7 +54,8 @@ const LINE_PARTS: usize = 8;
 const LINE_LIMIT: f64 = 6.0;
 /// Most columns, and most rows, that are outliers.
 const MOST_LINES: usize = 8;
-/// Most rounds, each of which finds one outlier of a neighbourhood: tracks and clusters need one a pixel.
+/// Most rounds, each of which finds one outlier of a neighbourhood: tracks and clusters need one a
+/// pixel.
 const ROUNDS: usize = 60;
 
 /// A frame without its outliers.
@@ -77,8 +83,8 @@ struct Predictor {
     /// Covariance of these with each other, and with the pixel.
     covariance: Array2<f64>,
     with_pixel: Array2<f64>,
-    /// The pixels around one that are in the frame, and the prediction from them where none is bad: for each place of a row and of a
-    /// column that differs ([`Predictor::edge`]).
+    /// The pixels around one that are in the frame, and the prediction from them where none is bad:
+    /// for each place of a row and of a column that differs ([`Predictor::edge`]).
     predictions: Vec<(Vec<usize>, Prediction)>,
 }
 
@@ -93,7 +99,8 @@ struct Prediction {
 }
 
 impl OutlierFinder {
-    /// A finder for frames of `scene` through its `filter`; `None` where they are sampled too coarsely.
+    /// A finder for frames of `scene` through its `filter`; `None` where they are sampled too
+    /// coarsely.
     pub(in crate::modal) fn new(scene: &System, filter: &Filter) -> Option<Self> {
         let [shortest, _] = filter.range();
         let sampling = scene.image.samples_per_lambda_over_d * shortest;
@@ -181,7 +188,8 @@ impl Predictor {
         });
         let with_pixel = Array2::from_shape_fn((AROUND, 1), |(i, _)| between(offsets[i], [0, 0]));
         let mut predictor = Self { offsets, noise_share, covariance, with_pixel, predictions: Vec::new() };
-        // The distance of a pixel to the nearer border decides what is around it, in each direction.
+        // The distance of a pixel to the nearer border decides what is around it, in each
+        // direction.
         for [y, x] in (0..EDGES).flat_map(|y| (0..EDGES).map(move |x| [y, x])) {
             let is_inside = |offset: isize, edge: usize| match edge {
                 0..REACH => offset >= -(edge as isize),
@@ -214,7 +222,8 @@ impl Prediction {
         let shares = Cholesky::new(covariance).ok()?.solve(with_pixel).into_raw_vec_and_offset().0;
         let explained: f64 = shares.iter().zip(with_pixel).map(|(share, with)| share * with).sum();
         let noise: f64 = shares.iter().map(|share| share * share).sum();
-        // 2 is the mean square of speckle of mean 1. The error of the prediction has a part from the noise that it was made for.
+        // 2 is the mean square of speckle of mean 1. The error of the prediction has a part from
+        // the noise that it was made for.
         Some(Self { shares, noise: 1.0 + noise, light: (2.0 - explained - noise_share * noise).max(0.0) })
     }
 }
@@ -246,7 +255,8 @@ impl Search<'_> {
         }
     }
 
-    /// Expectation of a pixel from those around it that are not bad, e⁻, and the variance of its deviation, e².
+    /// Expectation of a pixel from those around it that are not bad, e⁻, and the variance of its
+    /// deviation, e².
     fn predicted(&self, (y, x): (usize, usize)) -> Option<(f64, f64)> {
         let (rows, columns) = self.bad.dim();
         let place = |at: usize, offset: isize, size: usize| at.checked_add_signed(offset).filter(|&at| at < size);
@@ -263,7 +273,8 @@ impl Search<'_> {
         Some((expected_e, self.variance_e2(&prediction, expected_e)))
     }
 
-    /// Variance of the deviation of a pixel about which the light is `light_e`: noise of all pixels, and the error of the prediction.
+    /// Variance of the deviation of a pixel about which the light is `light_e`: noise of all
+    /// pixels, and the error of the prediction.
     fn variance_e2(&self, prediction: &Prediction, light_e: f64) -> f64 {
         let light_e = light_e.max(0.0);
         prediction.noise * (light_e + self.noise_e2) + prediction.light * light_e * light_e
@@ -333,9 +344,10 @@ impl Search<'_> {
         found
     }
 
-    /// Takes those of the `candidates` back that do not deviate from their prediction from good pixels alone: of each neighbourhood the
-    /// least deviating first, from which others are then predicted better. Returns the excess of those that are left, e⁻, which
-    /// their predictions replace.
+    /// Takes those of the `candidates` back that do not deviate from their prediction from good
+    /// pixels alone: of each neighbourhood the least deviating first, from which others are then
+    /// predicted better. Returns the excess of those that are left, e⁻, which their predictions
+    /// replace.
     fn keep_significant(&mut self, pixels: Vec<(usize, usize)>) -> Vec<f64> {
         let mut candidates: Vec<Candidate> = pixels.into_iter().map(Candidate::new).collect();
         loop {
@@ -371,8 +383,8 @@ impl Search<'_> {
         }
     }
 
-    /// Replaces single outliers until there are none; `None` where they are more than `most`. At first the rows that have `changed` are
-    /// candidates.
+    /// Replaces single outliers until there are none; `None` where they are more than `most`. At
+    /// first the rows that have `changed` are candidates.
     fn find_pixels(&mut self, mut changed: Vec<bool>, most: usize) -> Option<()> {
         let rows = changed.len();
         for _ in 0..ROUNDS {
@@ -394,7 +406,8 @@ impl Search<'_> {
         Some(())
     }
 
-    /// Replaces columns and rows whose pixels deviate together; `None` where they have more than `most` pixels.
+    /// Replaces columns and rows whose pixels deviate together; `None` where they have more than
+    /// `most` pixels.
     fn find_lines(&mut self, most: usize) -> Option<RejectedPixels> {
         let (rows, columns) = self.bad.dim();
         let mut found = RejectedPixels::default();
@@ -421,8 +434,9 @@ impl Search<'_> {
         Some(found)
     }
 
-    /// Deviation of a line in standard deviations: that of the parts of it, of which the third largest in the same direction counts, so
-    /// that single pixels do not decide; 0 where parts deviate in both directions.
+    /// Deviation of a line in standard deviations: that of the parts of it, of which the third
+    /// largest in the same direction counts, so that single pixels do not decide; 0 where parts
+    /// deviate in both directions.
     fn deviation_of_line(&self, across: Axis, line: usize) -> f64 {
         let (deviation, bad) = (self.deviation.index_axis(across, line), self.bad.index_axis(across, line));
         let mut parts: Vec<f64> = (0..LINE_PARTS)
@@ -463,8 +477,9 @@ impl Candidate {
     }
 }
 
-/// Electrons of the light in a pixel, at most: twice the median of the pixels around it, which a spot of two pixels' width has
-/// in its middle. The median ignores single outliers, so that the noise of their neighbours is that of the light alone.
+/// Electrons of the light in a pixel, at most: twice the median of the pixels around it, which a
+/// spot of two pixels' width has in its middle. The median ignores single outliers, so that the
+/// noise of their neighbours is that of the light alone.
 fn light_e(data_e: &Array2<f64>, (y, x): (usize, usize)) -> f64 {
     let around = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
     let (rows, columns) = data_e.dim();

@@ -5,9 +5,9 @@ use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
 use std::sync::Arc;
 
-/// Low-passes and decimates frames by cropping their Fourier transforms. The sum of an image is kept; a PSF whose
-/// spectrum ends below the new Nyquist frequency keeps its values at the new pixels, and white noise stays white.
-/// Nothing is allocated after construction.
+/// Low-passes and decimates frames by cropping their Fourier transforms. The sum of an image is
+/// kept; a PSF whose spectrum ends below the new Nyquist frequency keeps its values at the new
+/// pixels, and white noise stays white. Nothing is allocated after construction.
 pub(super) struct Decimation {
     along_x: Line,
     along_y: Line,

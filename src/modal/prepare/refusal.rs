@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-/// Why a frame cannot be used. A value without text, so that it can be returned where nothing may be allocated; `Display`
-/// writes the sentence.
+/// Why a frame cannot be used. A value without text, so that it can be returned where nothing may
+/// be allocated; `Display` writes the sentence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Refusal {
     /// All pixels are bad, in the frame or in the part of it that is fitted.

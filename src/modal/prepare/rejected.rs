@@ -1,6 +1,7 @@
 //! Rejected pixels: a list for a fit, and their kinds for a report.
 
-/// Largest share of rejected pixels. Beyond, the image is not the model's, or its noise is not the stated one, and χ² shows it.
+/// Largest share of rejected pixels. Beyond, the image is not the model's, or its noise is not the
+/// stated one, and χ² shows it.
 const MAX_SHARE: f64 = 0.1;
 
 /// Rejected pixels of a prepared frame, in memory that is allocated with it.

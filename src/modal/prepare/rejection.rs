@@ -1,21 +1,25 @@
-//! Rejection of pixels that the fitted model does not explain: cosmic rays, hot and dead pixels, columns and rows.
+//! Rejection of pixels that the fitted model does not explain: cosmic rays, hot and dead pixels,
+//! columns and rows.
 //!
-//! At every renewal of the weights each pixel's residual is compared with its noise and with the residuals around it. Where the model is
-//! wrong, or the fit is not at its minimum yet, residuals are large together, over λ/D or more; those of a bad pixel are large
-//! alone. All pixels are compared anew each time, so that a pixel that was rejected by a poor model returns.
+//! At every renewal of the weights each pixel's residual is compared with its noise and with the
+//! residuals around it. Where the model is wrong, or the fit is not at its minimum yet, residuals
+//! are large together, over λ/D or more; those of a bad pixel are large alone. All pixels are
+//! compared anew each time, so that a pixel that was rejected by a poor model returns.
 
 use crate::imaging::Exposure;
 use crate::modal::assess::chi2::pixel_variance;
 use crate::modal::prepare::rejected::RejectedPixels;
 use crate::modal::prepare::{Preparation, PreparedFrame};
 
-/// Standard deviations beyond which a pixel is rejected. Of 100,000 pixels of Gaussian noise one in 5,000 images is.
+/// Standard deviations beyond which a pixel is rejected. Of 100,000 pixels of Gaussian noise one in
+/// 5,000 images is.
 const LIMIT: f64 = 6.0;
-/// The same for the square root of electrons, whose noise is the same for few electrons as for many: single photons on dark pixels are
-/// no outliers.
+/// The same for the square root of electrons, whose noise is the same for few electrons as for
+/// many: single photons on dark pixels are no outliers.
 const ROOT_LIMIT: f64 = 5.5;
-/// Half a side of the square of pixels with whose residuals a pixel's is compared. A spot of 3 × 3 pixels, as a companion or the core of
-/// a star makes, is a third of it, two bad columns beside one another are not.
+/// Half a side of the square of pixels with whose residuals a pixel's is compared. A spot of 3 × 3
+/// pixels, as a companion or the core of a star makes, is a third of it, two bad columns beside one
+/// another are not.
 const REACH: usize = 2;
 /// Share of the pixels around one below whose residual the scale is: three of four.
 const QUANTILE: f64 = 0.75;
@@ -29,8 +33,8 @@ const PARTS: usize = 8;
 const LEAST_PARTS: usize = 3;
 /// Standard deviations from which the mean of a part is off.
 const PART_LIMIT: f64 = 5.0;
-/// How many times the mean of a part is that of the same part of both neighbours. Light spreads over two pixels or more: its error at the
-/// neighbours is a third or more.
+/// How many times the mean of a part is that of the same part of both neighbours. Light spreads
+/// over two pixels or more: its error at the neighbours is a third or more.
 const CONTRAST: f64 = 4.0;
 /// Mean of the absolute value of a normal variable.
 const NORMAL_MEAN: f64 = 0.798;
@@ -40,10 +44,12 @@ const STRIP: usize = 32;
 const LANES: usize = 4;
 /// Most columns, and most rows, that are looked at.
 const MOST_LINES: usize = 16;
-/// Most times that pixels are compared with the model, with flux and background of those that are left.
+/// Most times that pixels are compared with the model, with flux and background of those that are
+/// left.
 const ROUNDS: usize = 3;
 
-/// The outlier pixels of a prepared image, by kind: what its preparation took out, and what its fit rejected.
+/// The outlier pixels of a prepared image, by kind: what its preparation took out, and what its fit
+/// rejected.
 pub(in crate::modal) fn kinds(image: &PreparedFrame, preparation: &Preparation) -> RejectedPixels {
     let (data_e, floor_e2) = (&image.exposure.data_e, &image.floor_variance_e2);
     let side = preparation.pixels;
@@ -69,9 +75,10 @@ pub(in crate::modal) fn kinds(image: &PreparedFrame, preparation: &Preparation) 
     kinds.and(image.taken_out)
 }
 
-/// Weighs pixels that are far darker than their neighbours by the electrons of these, for the fit with the first weights: a dead pixel in
-/// the light would have the weight of a dark one, and would pull the fit a hundred times as much as the pixels around it. The electrons
-/// are the larger of what both neighbours in the row have, and both in the column.
+/// Weighs pixels that are far darker than their neighbours by the electrons of these, for the fit
+/// with the first weights: a dead pixel in the light would have the weight of a dark one, and would
+/// pull the fit a hundred times as much as the pixels around it. The electrons are the larger of
+/// what both neighbours in the row have, and both in the column.
 pub(in crate::modal) fn weigh_dead(image: &mut PreparedFrame) {
     let PreparedFrame { exposure: Exposure { data_e, weight, .. }, floor_variance_e2, .. } = image;
     let side = data_e.len().isqrt();
@@ -108,9 +115,10 @@ pub(in crate::modal) fn reject_without_weight(image: &mut PreparedFrame) {
     }
 }
 
-/// Rejects the outlier pixels of `image` under the model with this PSF and the photometry that `photometry` finds for its present weights:
-/// their floor becomes infinite. Pixels that were rejected before are compared again. Returns flux and background without them,
-/// and whether other pixels are rejected than before. Nothing is allocated.
+/// Rejects the outlier pixels of `image` under the model with this PSF and the photometry that
+/// `photometry` finds for its present weights: their floor becomes infinite. Pixels that were
+/// rejected before are compared again. Returns flux and background without them, and whether other
+/// pixels are rejected than before. Nothing is allocated.
 pub(in crate::modal) fn reject(
     image: &mut PreparedFrame,
     psf: &[f64],
@@ -174,7 +182,8 @@ impl FittedModel<'_> {
         rejected.pixels().iter().for_each(|&pixel| floor_variance_e2[pixel as usize] = f64::INFINITY);
     }
 
-    /// Whether a pixel of `pixels` is beyond the limit. Without an early exit, so that it is vectorised.
+    /// Whether a pixel of `pixels` is beyond the limit. Without an early exit, so that it is
+    /// vectorised.
     fn has_candidate(&self, image: &PreparedFrame, pixels: std::ops::Range<usize>) -> bool {
         let (flux_e, background_e) = self.photometry;
         let data = image.exposure.data_e[pixels.clone()].iter().zip(&self.psf[pixels.clone()]);
@@ -211,7 +220,8 @@ impl FittedModel<'_> {
         deviation.abs() > LIMIT * (*scale / NORMAL_QUANTILE).max(1.0)
     }
 
-    /// Marks columns and rows whose pixels are off together by less than a single pixel shows, where not all lines are.
+    /// Marks columns and rows whose pixels are off together by less than a single pixel shows,
+    /// where not all lines are.
     fn mark_lines(&self, image: &mut PreparedFrame) {
         let side = image.exposure.data_e.len().isqrt();
         for (axis, (step, stride)) in [(1, side), (side, 1)].into_iter().enumerate() {
@@ -232,7 +242,8 @@ impl FittedModel<'_> {
         }
     }
 
-    /// Adds all columns to `survey`: some at a time, so that pixels are read in the order of memory.
+    /// Adds all columns to `survey`: some at a time, so that pixels are read in the order of
+    /// memory.
     fn survey_columns(&self, image: &PreparedFrame, side: usize, survey: &mut Survey) {
         let (flux_e, background_e) = self.photometry;
         for first in (0..side).step_by(STRIP) {
@@ -285,7 +296,8 @@ impl FittedModel<'_> {
     }
 }
 
-/// Weighted mean, e⁻, and its ratio to its standard deviation, of residuals with this weighted sum and these weights.
+/// Weighted mean, e⁻, and its ratio to its standard deviation, of residuals with this weighted sum
+/// and these weights.
 fn mean(sum: f64, weights: f64) -> (f64, f64) {
     if weights > 0.0 { (sum / weights, sum / weights.sqrt()) } else { (0.0, 0.0) }
 }
@@ -310,7 +322,8 @@ impl Survey {
     }
 }
 
-/// Residual of a column or row, in parts: weighted mean, e⁻, and its ratio to its standard deviation.
+/// Residual of a column or row, in parts: weighted mean, e⁻, and its ratio to its standard
+/// deviation.
 #[derive(Debug, Clone, Copy, Default)]
 struct Line {
     parts: [(f64, f64); PARTS],

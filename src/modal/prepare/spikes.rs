@@ -1,5 +1,6 @@
-//! Spikes: pixels so much brighter than those around them that no star makes them, and so bright that they would mislead centroid and
-//! start of a fit. Fainter outliers are left to the fit, which rejects them.
+//! Spikes: pixels so much brighter than those around them that no star makes them, and so bright
+//! that they would mislead centroid and start of a fit. Fainter outliers are left to the fit, which
+//! rejects them.
 
 use super::extent::Extent;
 use ndarray::{Array2, ArrayView2};
@@ -8,8 +9,8 @@ use ndarray::{Array2, ArrayView2};
 const SHARE: f64 = 0.05;
 /// Standard deviations of the dark frame from which a pixel can be a spike.
 const SIGMA: f64 = 8.0;
-/// Ratio of a spike to the third brightest pixel around it. A star in focus on the middle of a pixel has 2 at 2 pixels per λ/D, 3.5 at
-/// 1.5, 7 at 1.2.
+/// Ratio of a spike to the third brightest pixel around it. A star in focus on the middle of a
+/// pixel has 2 at 2 pixels per λ/D, 3.5 at 1.5, 7 at 1.2.
 const RATIO: f64 = 12.0;
 /// Half a side of the square of pixels around one. Two of them can be of the same track.
 const REACH: usize = 2;
@@ -39,8 +40,9 @@ impl Spikes {
         &self.found
     }
 
-    /// Adds the spikes among the brightest pixels that are not `bad` of a frame with the border's `level_e`, this variance in the dark and
-    /// these extents of its rows. Returns how many they are.
+    /// Adds the spikes among the brightest pixels that are not `bad` of a frame with the border's
+    /// `level_e`, this variance in the dark and these extents of its rows. Returns how many they
+    /// are.
     fn find(
         &mut self,
         (data_e, bad): (ArrayView2<f64>, ArrayView2<bool>),
@@ -72,8 +74,8 @@ impl Spikes {
         self.found.len() - before
     }
 
-    /// Takes the spikes out of a frame: they become bad pixels of `data_e`, which are 0. It holds the frame, or where there is an
-    /// `original` is made its copy. Returns whether there are some.
+    /// Takes the spikes out of a frame: they become bad pixels of `data_e`, which are 0. It holds
+    /// the frame, or where there is an `original` is made its copy. Returns whether there are some.
     pub(super) fn take_out(
         &mut self,
         original: Option<(ArrayView2<f64>, ArrayView2<bool>)>,
@@ -96,7 +98,8 @@ impl Spikes {
                 let good = data_e.row(y).into_iter().zip(bad.row(y)).filter(|(_, bad)| !**bad);
                 extents[y] = good.fold(Extent::EMPTY, |extent, (&value, _)| extent.with(value));
             }
-            // Without the brightest, fainter ones stand out. All that were found are taken out, also after the last round.
+            // Without the brightest, fainter ones stand out. All that were found are taken out,
+            // also after the last round.
             found = if round < ROUNDS { self.find((data_e.view(), bad.view()), dark, extents) } else { 0 };
             if found == 0 {
                 break;
@@ -105,7 +108,8 @@ impl Spikes {
         true
     }
 
-    /// Gives each spike of `data_e` the mean of the pixels around it that are not bad, and marks it as good.
+    /// Gives each spike of `data_e` the mean of the pixels around it that are not bad, and marks it
+    /// as good.
     pub(super) fn fill(&self, data_e: &mut Array2<f64>, bad: &mut Array2<bool>, level_e: f64) {
         for &at in &self.found {
             let (mut sum_e, mut count) = (0.0, 0);
@@ -164,7 +168,8 @@ mod tests {
 
     #[test]
     fn stars_have_no_spikes() {
-        // Gaussian cores of a half to two pixels: the sharpest has 0.14 of its peak beside it, sharper than 1.5 pixels per λ/D.
+        // Gaussian cores of a half to two pixels: the sharpest has 0.14 of its peak beside it,
+        // sharper than 1.5 pixels per λ/D.
         for width in [0.5, 0.7, 1.0, 2.0] {
             for offset in [0.0, 0.25, 0.5] {
                 let square = |at: usize| (at as f64 - 16.0 - offset).powi(2);

@@ -3,8 +3,8 @@
 use crate::statistics::upper_median_in_place;
 use ndarray::{ArrayView2, s};
 
-/// Pixels of the border that are used: their median is accurate to 2 % of their scatter. The border has a quarter of a frame's
-/// pixels or more.
+/// Pixels of the border that are used: their median is accurate to 2 % of their scatter. The border
+/// has a quarter of a frame's pixels or more.
 const ENOUGH: usize = 4096;
 
 /// Medians, in memory that is allocated once.
@@ -18,7 +18,8 @@ impl Statistics {
         Self { values: Vec::with_capacity(pixels) }
     }
 
-    /// Median of the frame's border, an eighth of each side wide; of a large frame, of its rows at equal distances.
+    /// Median of the frame's border, an eighth of each side wide; of a large frame, of its rows at
+    /// equal distances.
     pub(super) fn level_of_border(&mut self, data: ArrayView2<f64>, bad: ArrayView2<bool>) -> f64 {
         let (rows, columns) = data.dim();
         let inner = |size: usize| size / 8..size - size / 8;
@@ -35,7 +36,8 @@ impl Statistics {
         median(&mut self.values)
     }
 
-    /// Scatter of the same pixels about their `level`: 1.4826 times the median deviation. Overwrites them.
+    /// Scatter of the same pixels about their `level`: 1.4826 times the median deviation.
+    /// Overwrites them.
     pub(super) fn scatter_about(&mut self, level: f64) -> f64 {
         self.values.iter_mut().for_each(|d| *d = (*d - level).abs());
         1.4826 * median(&mut self.values)

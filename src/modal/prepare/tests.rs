@@ -152,7 +152,8 @@ fn rectangular_frames_keep_their_axis_in_flip_and_crop() {
     assert_eq!(reduced.native_pixels(), 4.0);
     let small = of(reduced, &star(24.0, 16.0));
     assert_eq!((brightest(&small), small.floor_variance_e2[0]), (8 * 16 + 8, 36.0));
-    // A Gaussian of 3 pixels has 5e-5 of its spectrum's peak at the new Nyquist frequency, which aliases.
+    // A Gaussian of 3 pixels has 5e-5 of its spectrum's peak at the new Nyquist frequency, which
+    // aliases.
     let peak = small.exposure.data_e[8 * 16 + 8];
     assert!((peak / 4.0 - 10_001.0).abs() < 10.0, "{peak}");
 }

@@ -53,8 +53,8 @@ struct FrameBuffer {
 }
 
 impl SessionChannel {
-    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a second for a large model). `control`
-    /// is that of the session.
+    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a
+    /// second for a large model). `control` is that of the session.
     ///
     /// # Errors
     /// As [`Session::new`](super::Session::new).
@@ -128,10 +128,12 @@ impl SessionChannel {
         self.fitted = 0;
     }
 
-    /// Fits frames 0 to `count` − 1 from the rows of `start_nm`. An image that cannot be fitted has its status in its result.
+    /// Fits frames 0 to `count` − 1 from the rows of `start_nm`. An image that cannot be fitted has
+    /// its status in its result.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where the control was cancelled; [`Error::Device`] where a device fails. Neither leaves results.
+    /// [`Error::Interrupted`] where the control was cancelled; [`Error::Device`] where a device
+    /// fails. Neither leaves results.
     pub(super) fn fit(
         &mut self,
         count: usize,
@@ -169,8 +171,8 @@ impl SessionChannel {
         &self.fits[..self.fitted]
     }
 
-    /// Covariance of the coefficients of an image of the last fit, nm², `[mode, mode]`, pistons about their mean; scaled
-    /// by χ² where the model misfits.
+    /// Covariance of the coefficients of an image of the last fit, nm², `[mode, mode]`, pistons
+    /// about their mean; scaled by χ² where the model misfits.
     ///
     /// # Errors
     /// [`Error::Value`] for an image that was not fitted, or that no mode changes.
@@ -189,13 +191,15 @@ impl SessionChannel {
         Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
     }
 
-    /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It evaluates the model once more.
+    /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It
+    /// evaluates the model once more.
     pub fn fitted_image(&self, image: usize) -> Option<FittedImage> {
         let fit = self.fits().get(image).filter(|fit| fit.is_fitted())?;
         Some(fitted_image(&self.shared.estimator, &fit.minimum, &fit.prepared))
     }
 
-    /// Prepares frames 0 to `count` − 1 for [`SessionChannel::evaluate`], weighted by the noise of their own pixels.
+    /// Prepares frames 0 to `count` − 1 for [`SessionChannel::evaluate`], weighted by the noise of
+    /// their own pixels.
     ///
     /// # Errors
     /// As [`Session::load`](super::Session::load).
@@ -288,7 +292,8 @@ impl Shared {
     }
 }
 
-/// Prepares the frames in the buffers; frames with bad pixels that a reduction would smear are refused.
+/// Prepares the frames in the buffers; frames with bad pixels that a reduction would smear are
+/// refused.
 fn prepare<'a>(
     frames: &'a [FrameBuffer],
     recipe: &'a Recipe,

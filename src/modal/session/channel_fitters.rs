@@ -7,7 +7,8 @@ use crate::scene::System;
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// Fitters of the channels of a scene, in its order, whose models have the same modes: one for a scene that lists no channels.
+/// Fitters of the channels of a scene, in its order, whose models have the same modes: one for a
+/// scene that lists no channels.
 #[derive(Debug, Clone)]
 pub struct ChannelFitters {
     scene: System,
@@ -24,7 +25,8 @@ impl ChannelFitters {
     /// Builds the models of `scene`, with the basis of modes that channels share computed once.
     ///
     /// # Errors
-    /// Those of [`ModalFitter::new`]; [`Error::Scene`] for channels with other modes than the first.
+    /// Those of [`ModalFitter::new`]; [`Error::Scene`] for channels with other modes than the
+    /// first.
     pub fn new(scene: &System) -> Result<Self> {
         let Some(first) = scene.channels().first() else {
             return Ok(Arc::new(ModalFitter::new(scene, false)?).into());

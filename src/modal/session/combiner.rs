@@ -1,13 +1,15 @@
 //! Combination of the fits of several channels in memory that is allocated beforehand.
 //!
-//! In the notation of `joint.rs`, with a_il the multiples of the information Λ_il of channel i at the levels l between which the noise of
-//! its image lies ([`Metrics::between`]), over χ² where the model misfits, and V the directions that the images determine:
+//! In the notation of `joint.rs`, with a_il the multiples of the information Λ_il of channel i at
+//! the levels l between which the noise of its image lies ([`Metrics::between`]), over χ² where the
+//! model misfits, and V the directions that the images determine:
 //!
 //! ```text
 //! M = Σ a_il Vᵀ [1 p_i]ᵀ Λ_il [1 p_i] V + Vᵀ diag(0, 1/σ²) V     [c δ] = V M⁻¹ Vᵀ Σ a_il [1 p_i]ᵀ Λ_il ĉ_i     covariance V M⁻¹ Vᵀ
 //! ```
 //!
-//! V and each term of M are computed once. M is near a multiple of the identity, and its Cholesky decomposition is exact to rounding.
+//! V and each term of M are computed once. M is near a multiple of the identity, and its Cholesky
+//! decomposition is exact to rounding.
 
 use super::super::fitter::ModalFitter;
 use super::options::ImageResult;
@@ -71,8 +73,8 @@ pub(super) struct Combiner {
 
 impl Combiner {
     /// # Errors
-    /// [`Error::Scene`](crate::Error::Scene) for an unknown amplitude of a diversity that the modes do not span;
-    /// [`Error::Value`](crate::Error::Value) where no mode changes the images.
+    /// [`Error::Scene`](crate::Error::Scene) for an unknown amplitude of a diversity that the modes
+    /// do not span; [`Error::Value`](crate::Error::Value) where no mode changes the images.
     pub(super) fn new(fitters: &ChannelFitters) -> Result<Self> {
         let first = fitters.first();
         let modes = first.model.optics.modes();
@@ -127,8 +129,8 @@ impl Combiner {
         })
     }
 
-    /// Writes the common modes and their error bars; returns the reduced χ² of the differences of the channels and its degrees of
-    /// freedom, (1, 0) where there are none. Allocates nothing.
+    /// Writes the common modes and their error bars; returns the reduced χ² of the differences of
+    /// the channels and its degrees of freedom, (1, 0) where there are none. Allocates nothing.
     pub(super) fn combine<'a>(
         &mut self,
         fits: impl Iterator<Item = FittedChannel<'a>> + Clone,
@@ -192,7 +194,8 @@ impl Combiner {
 }
 
 impl ChannelPart {
-    /// `has_own_tilt`: tip and tilt are this channel's own. `is_unknown`: so is the amplitude of the diversities.
+    /// `has_own_tilt`: tip and tilt are this channel's own. `is_unknown`: so is the amplitude of
+    /// the diversities.
     fn new(fitter: &ModalFitter, has_own_tilt: bool, is_unknown: bool) -> Result<Self> {
         let (model, modes) = (&fitter.model, fitter.model.optics.modes());
         let tilts = if has_own_tilt { spanned_tip_and_tilt(model)? } else { Array2::zeros((0, modes)) };
@@ -223,7 +226,8 @@ impl ChannelPart {
         all
     }
 
-    /// Takes the fit of a frame, with its pistons within half a wavelength of those of the `first` channel.
+    /// Takes the fit of a frame, with its pistons within half a wavelength of those of the `first`
+    /// channel.
     fn take(&mut self, channel: &FittedChannel, first: Option<&FittedChannel>) {
         let FittedChannel { fitter, fit, result } = channel;
         self.coefficients_nm.copy_from_slice(&result.coefficients_nm);

@@ -23,8 +23,8 @@ pub struct SessionOptions {
     pub threads: usize,
     /// Most evaluations for one image; `None` for the recipe's.
     pub max_evaluations: Option<usize>,
-    /// A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this, nm; `None` for
-    /// the recipe's.
+    /// A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than
+    /// this, nm; `None` for the recipe's.
     pub step_tolerance_nm: Option<f64>,
 }
 
@@ -58,10 +58,11 @@ impl SessionOptions {
 /// Options of one call of [`Session::fit`](super::Session::fit).
 #[derive(Debug, Clone, Default)]
 pub struct FitOptions<'a> {
-    /// Wall-clock time for the whole call; `None` is without limit. It is honoured within one evaluation.
+    /// Wall-clock time for the whole call; `None` is without limit. It is honoured within one
+    /// evaluation.
     pub deadline: Option<Duration>,
-    /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the scatter of
-    /// the frame's border.
+    /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the
+    /// scatter of the frame's border.
     pub read_noise_e: Option<f64>,
     /// Start of the fits of each group, `[group, mode]`, nm; `None` is the flat wavefront.
     pub start_nm: Option<ArrayView2<'a, f64>>,
@@ -71,7 +72,8 @@ impl FitOptions<'_> {
     /// Checks the options of a fit of `count` groups.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a start of another shape, [`Error::Value`] for the first number out of range.
+    /// [`Error::Shape`] for a start of another shape, [`Error::Value`] for the first number out of
+    /// range.
     pub(super) fn check(&self, count: usize, modes: usize) -> Result<()> {
         check_read_noise(self.read_noise_e)?;
         let Some(start_nm) = self.start_nm else { return Ok(()) };
@@ -106,20 +108,22 @@ pub(super) fn check_read_noise(given: Option<f64>) -> Result<()> {
 /// Result of a group: one frame of each channel.
 #[derive(Debug, Clone)]
 pub struct GroupResult {
-    /// Every mode, nm, pistons about their mean over the pupil: in one channel those of its [`ImageResult`]; in several the modes that
-    /// they have in common, NaN unless the fits of all converged.
+    /// Every mode, nm, pistons about their mean over the pupil: in one channel those of its
+    /// [`ImageResult`]; in several the modes that they have in common, NaN unless the fits of all
+    /// converged.
     pub coefficients_nm: Vec<f64>,
-    /// Error bar of each mode of several channels, 1σ, nm: from the information at the flat wavefront, scaled by the root of χ² where a
-    /// channel's model misfits, and where the channels contradict each other. Bad pixels are not left out. NaN in one channel:
+    /// Error bar of each mode of several channels, 1σ, nm: from the information at the flat
+    /// wavefront, scaled by the root of χ² where a channel's model misfits, and where the channels
+    /// contradict each other. Bad pixels are not left out. NaN in one channel:
     /// [`Session::refine`](super::Session::refine) has its covariance.
     pub sigma_nm: Vec<f64>,
     /// The worst status of the channels.
     pub status: Status,
-    /// Reduced χ² of the differences of the channels, where noise gives 1, and its degrees of freedom; (NaN, 0) in one channel, and without
-    /// coefficients.
+    /// Reduced χ² of the differences of the channels, where noise gives 1, and its degrees of
+    /// freedom; (NaN, 0) in one channel, and without coefficients.
     pub disagreement: (f64, f64),
-    /// Whether the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, or
-    /// in another minimum.
+    /// Whether the channels differ by more than their noise: one is flipped, of another wavelength
+    /// or diversity than the scene says, or in another minimum.
     pub is_contradictory: bool,
     /// Wall-clock time of the fits of its images, s; on a device that of the batch.
     pub seconds: f64,
@@ -162,11 +166,11 @@ impl RefinedGroup {
 /// Result of the fit of one image.
 #[derive(Debug, Clone)]
 pub struct ImageResult {
-    /// Every mode, nm, pistons about their mean over the pupil; NaN where the image could not be used, the start where
-    /// the deadline came before its turn.
+    /// Every mode, nm, pistons about their mean over the pupil; NaN where the image could not be
+    /// used, the start where the deadline came before its turn.
     pub coefficients_nm: Vec<f64>,
-    /// Status and figures of the fit. Past the deadline the status is [`Status::NotConverged`] with [`StopReason::DeadlineReached`]; an
-    /// image whose turn never came has no evaluations.
+    /// Status and figures of the fit. Past the deadline the status is [`Status::NotConverged`] with
+    /// [`StopReason::DeadlineReached`]; an image whose turn never came has no evaluations.
     pub report: ImageReport,
     /// Wall-clock time of this image's fit; of a batch on a device, that of the batch.
     pub seconds: f64,

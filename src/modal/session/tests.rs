@@ -8,8 +8,8 @@ use crate::modal::solve::engine::DeviceEngine;
 use crate::scene::Scene;
 use std::sync::Arc;
 
-/// Warning of a session on a device that `auto` might have selected, before and after it is lost in the midst of a fit; the result
-/// of the fit is the same.
+/// Warning of a session on a device that `auto` might have selected, before and after it is lost in
+/// the midst of a fit; the result of the fit is the same.
 #[test]
 fn a_session_warns_of_a_lost_device() {
     let settings = [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", "2")];

@@ -1,8 +1,10 @@
-//! Fit series: the fits of an image in the order in which they are made, so that an estimate can take those that were made before.
+//! Fit series: the fits of an image in the order in which they are made, so that an estimate can
+//! take those that were made before.
 //!
-//! The steps of a series are the first fit, that without the outlier pixels, and the restarts. The start of each follows from those
-//! before, and nothing else enters but the image: a fit that was made at the same step after the same steps has the same bits. At the first step that
-//! the series of an image does not have, its fits are made from there on.
+//! The steps of a series are the first fit, that without the outlier pixels, and the restarts. The
+//! start of each follows from those before, and nothing else enters but the image: a fit that was
+//! made at the same step after the same steps has the same bits. At the first step that the series
+//! of an image does not have, its fits are made from there on.
 
 use crate::Result;
 use crate::imaging::Chain;
@@ -22,14 +24,16 @@ pub(in crate::modal) const WITHOUT_OUTLIERS: usize = 1;
 pub(crate) struct StoredFit {
     /// 0 for the first fit, 1 for that without outlier pixels, 1 + n for restart n.
     pub(crate) step: usize,
-    /// Precision of the chain that it was made on, and whether that was the CPU's: others differ by rounding.
+    /// Precision of the chain that it was made on, and whether that was the CPU's: others differ by
+    /// rounding.
     pub(crate) chain: String,
     pub(crate) minimum: Minimum,
     /// Weight of each pixel after the last renewal, e⁻².
     pub(crate) weights: Vec<f64>,
 }
 
-/// The series of some images, each with the number of its fits that this call has taken or made; others were made before, and not needed yet.
+/// The series of some images, each with the number of its fits that this call has taken or made;
+/// others were made before, and not needed yet.
 pub(crate) struct FitSeries {
     images: Vec<(Vec<StoredFit>, usize)>,
     made: usize,
@@ -51,7 +55,8 @@ impl FitSeries {
         self.images.into_iter().map(|(fits, taken)| fits.into_iter().take(taken).collect())
     }
 
-    /// Whether the next fit of `image` is that of `step`, which is then taken; otherwise those that follow are of no use.
+    /// Whether the next fit of `image` is that of `step`, which is then taken; otherwise those that
+    /// follow are of no use.
     fn take(&mut self, image: usize, step: usize, chain: &str, (modes, pixels): (usize, usize)) -> bool {
         let (fits, taken) = &mut self.images[image];
         let is_there = fits.get(*taken).is_some_and(|fit| {
@@ -82,8 +87,8 @@ pub(in crate::modal) struct SeriesStep<'a> {
 }
 
 impl ModalFitter {
-    /// Prepares `frames` and fits them, each from the start of its fit; fits that the series have at this step are taken, others made and
-    /// added.
+    /// Prepares `frames` and fits them, each from the start of its fit; fits that the series have
+    /// at this step are taken, others made and added.
     ///
     /// # Errors
     /// As [`engine::fit`].
@@ -154,7 +159,8 @@ mod tests {
         assert_eq!(take(&mut own, &[0, 2, 3, 4]), [true, true, true, false]);
         own.push(0, fit(4));
         assert_eq!((own.made(), own.into_fits().next().unwrap().len()), (1, 4));
-        // A step that the series does not have, or has and this call has not, changes the starts of all others.
+        // A step that the series does not have, or has and this call has not, changes the starts of
+        // all others.
         assert_eq!(take(&mut series(), &[0, 1, 2]), [true, false, false]);
         assert_eq!(take(&mut series(), &[0, 3]), [true, false]);
         // Of another chain, or another model.

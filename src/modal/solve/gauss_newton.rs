@@ -1,19 +1,20 @@
-//! Gauss-Newton matrix Jᵀ W J: weighted products over the pixels of the derivatives by the modes, computed in tiles of pixels,
-//! because the derivatives of 2,400 modes at a million pixels would take 20 GB.
+//! Gauss-Newton matrix Jᵀ W J: weighted products over the pixels of the derivatives by the modes,
+//! computed in tiles of pixels, because the derivatives of 2,400 modes at a million pixels would
+//! take 20 GB.
 //!
-//! A fitted flux and a fitted background have rows of their own in J: the PSF, and ones. They are projected out of the
-//! finished matrix.
+//! A fitted flux and a fitted background have rows of their own in J: the PSF, and ones. They are
+//! projected out of the finished matrix.
 
 use crate::imaging::LinearModel;
 use cophase_numerics::product::{Matrix, MatrixMut};
 use ndarray::{Array1, Array2, ArrayView2, s};
 use rayon::prelude::*;
 
-/// Rows of a product in one task. Only the lower triangle is needed: a strip of this many rows computes half a square of them
-/// in excess.
+/// Rows of a product in one task. Only the lower triangle is needed: a strip of this many rows
+/// computes half a square of them in excess.
 const STRIP: usize = 128;
-/// Share of a nuisance row's squared norm, after the rows before it were projected out, below which it is a copy of them:
-/// rounding of sums over 10⁴ pixels.
+/// Share of a nuisance row's squared norm, after the rows before it were projected out, below which
+/// it is a copy of them: rounding of sums over 10⁴ pixels.
 const DEGENERATE_SHARE: f64 = 1e-13;
 
 /// Rows that a fitted flux and background add to those of the modes.
@@ -38,7 +39,8 @@ impl Nuisances {
     }
 }
 
-/// Rows of pixels of a tile whose derivatives, plain and weighted, take at most `bytes`; one at least.
+/// Rows of pixels of a tile whose derivatives, plain and weighted, take at most `bytes`; one at
+/// least.
 pub(in crate::modal) fn rows_of_tile(modes: usize, pixels: usize, bytes: usize) -> usize {
     (bytes / bytes_of_row(modes, pixels)).clamp(1, pixels)
 }
@@ -67,8 +69,9 @@ impl StoredDerivatives {
     }
 }
 
-/// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row × row, `[row, row]`: rows are
-/// the modes' derivatives per nm, for a flux of 1, and the nuisances. Computed in tiles of `tile` rows of pixels.
+/// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row ×
+/// row, `[row, row]`: rows are the modes' derivatives per nm, for a flux of 1, and the nuisances.
+/// Computed in tiles of `tile` rows of pixels.
 pub(in crate::modal) fn products(
     linear: &LinearModel,
     nuisances: Nuisances,
@@ -85,8 +88,8 @@ pub(in crate::modal) fn products(
     all
 }
 
-/// Jᵀ v: inner products of the derivatives by the modes with some `vectors` over the pixels, `[mode, vector]`. Computed in
-/// tiles of `tile` rows of pixels.
+/// Jᵀ v: inner products of the derivatives by the modes with some `vectors` over the pixels,
+/// `[mode, vector]`. Computed in tiles of `tile` rows of pixels.
 pub(in crate::modal) fn along(linear: &LinearModel, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
     let m = linear.pixels();
     let mut all = Array2::zeros((linear.modes(), vectors.len()));
@@ -188,7 +191,8 @@ fn subtract_row(products: &mut Array2<f64>, k: usize, share: &[f64]) {
     let own = row[k];
     for (i, mut line) in products.outer_iter_mut().enumerate() {
         for (j, value) in line.iter_mut().enumerate() {
-            // The same expression for [i, j] and [j, i], so that the matrix stays symmetric to the last bit.
+            // The same expression for [i, j] and [j, i], so that the matrix stays symmetric to the
+            // last bit.
             *value += share[i] * share[j] * own - (share[i] * row[j] + share[j] * row[i]);
         }
     }

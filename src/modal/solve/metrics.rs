@@ -1,9 +1,10 @@
-//! Metrics of the optimiser: the Gauss-Newton matrix of the flat wavefront, with the weights of an image of this brightness. In
-//! its coordinates the objective is nearly spherical.
+//! Metrics of the optimiser: the Gauss-Newton matrix of the flat wavefront, with the weights of an
+//! image of this brightness. In its coordinates the objective is nearly spherical.
 //!
-//! For a star of flux S and a variance f without photons the weights are 1/(S·h + f) and the derivatives S·dh: in units
-//! of the flux, S times the matrix of weights 1/(h + f/S). So f/S is the only parameter of the family, and the flux scales the
-//! coordinates. All metrics share one set of derivatives.
+//! For a star of flux S and a variance f without photons the weights are 1/(S·h + f) and the
+//! derivatives S·dh: in units of the flux, S times the matrix of weights 1/(h + f/S). So f/S is the
+//! only parameter of the family, and the flux scales the coordinates. All metrics share one set of
+//! derivatives.
 
 use crate::imaging::CpuChain;
 use crate::modal::assess::fisher::null_floor;
@@ -21,12 +22,12 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
-/// Ratio of neighbouring values of f/S: the value of an image is within a factor of two of one of them, and so is the variance
-/// of each pixel.
+/// Ratio of neighbouring values of f/S: the value of an image is within a factor of two of one of
+/// them, and so is the variance of each pixel.
 const STEP: f64 = 4.0;
-/// Values of f/S, from the brightest pixel of the flat wavefront's PSF times `STEP` down: above it the weights are
-/// uniform and scale with 1/f; below the last (1e-5 of the brightest pixel) the pixels whose variance is mostly the floor hold
-/// no light.
+/// Values of f/S, from the brightest pixel of the flat wavefront's PSF times `STEP` down: above it
+/// the weights are uniform and scale with 1/f; below the last (1e-5 of the brightest pixel) the
+/// pixels whose variance is mostly the floor hold no light.
 const LEVELS: usize = 10;
 
 /// Image of the flat wavefront and its derivatives, for a flux of 1.
@@ -72,8 +73,8 @@ impl Metrics {
             .try_for_each(|first| self.make(reference, first..levels.min(first + MATRICES_AT_ONCE)))
     }
 
-    /// Computes what all of them are made of. It uses all threads, and those that wait for it must not be among them: to be called before
-    /// [`Metrics::for_image`] in threads of the pool.
+    /// Computes what all of them are made of. It uses all threads, and those that wait for it must
+    /// not be among them: to be called before [`Metrics::for_image`] in threads of the pool.
     pub(in crate::modal) fn prepare(&self, reference: &CpuChain<f64>) {
         self.flat(reference);
     }
@@ -86,8 +87,8 @@ impl Metrics {
         self.level(reference, 0)
     }
 
-    /// The metric of an image and the scale of its coordinates, which depend on this image alone: so a fit does not
-    /// depend on what else is in the batch.
+    /// The metric of an image and the scale of its coordinates, which depend on this image alone:
+    /// so a fit does not depend on what else is in the batch.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes the image.
@@ -111,9 +112,11 @@ impl Metrics {
         Ok((self.level(reference, level)?, flux_e.sqrt().recip()))
     }
 
-    /// Levels between which an image of `flux_e` and the least variance `floor_e2` lies, with the multiples of the inverses of
-    /// [`Metrics::covariance`] that add up to the information of the image on a flat wavefront. With α of the lower and 1 − α of the
-    /// higher f/S the weights 1/(h + f) are right where h is 0 and where it is large; between the two they are up to 11 % too low.
+    /// Levels between which an image of `flux_e` and the least variance `floor_e2` lies, with the
+    /// multiples of the inverses of [`Metrics::covariance`] that add up to the information of the
+    /// image on a flat wavefront. With α of the lower and 1 − α of the higher f/S the weights 1/(h
+    /// + f) are right where h is 0 and where it is large; between the two they are up to 11 % too
+    /// low.
     pub(in crate::modal) fn between(&self, reference: &CpuChain<f64>, flux_e: f64, floor_e2: f64) -> [(usize, f64); 2] {
         let (peak, last, flux_e) = (self.flat(reference).peak, LEVELS - 1, flux_e.max(1.0));
         let floor_of = |level| Self::relative_floor(peak, level);
@@ -164,7 +167,8 @@ impl Metrics {
         self.made[level].get().ok_or_else(|| Error::Internal("a metric was made and is not there".into()))
     }
 
-    /// Computes some levels together: where the derivatives are not stored, they are computed once for all of them.
+    /// Computes some levels together: where the derivatives are not stored, they are computed once
+    /// for all of them.
     fn make(&self, reference: &CpuChain<f64>, levels: Range<usize>) -> Result<()> {
         let flat = self.flat(reference);
         let weights: Vec<Vec<f64>> = levels.clone().map(|level| self.weights(flat, level)).collect();
@@ -186,7 +190,8 @@ impl Metrics {
         })
     }
 
-    /// The metric and the cost must use the same kind of weights: mixing them loses the capture range.
+    /// The metric and the cost must use the same kind of weights: mixing them loses the capture
+    /// range.
     fn weights(&self, flat: &FlatImage, level: usize) -> Vec<f64> {
         match self.weighting {
             Weighting::Noise => {
@@ -198,8 +203,9 @@ impl Metrics {
     }
 }
 
-/// Flux above the level in an image's good pixels, electrons (1 at the least), and the smallest variance of a pixel without the
-/// star. The metric ignores bad pixels: an image with many of them has coordinates that are a little less spherical.
+/// Flux above the level in an image's good pixels, electrons (1 at the least), and the smallest
+/// variance of a pixel without the star. The metric ignores bad pixels: an image with many of them
+/// has coordinates that are a little less spherical.
 fn flux_and_floor(image: &PreparedFrame) -> (f64, f64) {
     const LANES: usize = 8;
     let (mut flux, mut least) = ([0.0; LANES], [f64::INFINITY; LANES]);

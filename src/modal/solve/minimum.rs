@@ -13,7 +13,8 @@ pub(crate) struct Minimum {
     pub(crate) reason: StopReason,
     /// χ² per degree of freedom under the variances of the fitted model.
     pub(crate) chi2: ReducedChi2,
-    /// Whether χ² is larger than expected, and every restart ended in another minimum: this one is probably wrong, too.
+    /// Whether χ² is larger than expected, and every restart ended in another minimum: this one is
+    /// probably wrong, too.
     pub(crate) is_unconfirmed: bool,
 }
 

@@ -1,6 +1,7 @@
-//! Outliers of frames whose sampling is reduced for the fit, which smears them: a frame that the model does not explain, or of which the
-//! fit has rejected pixels, is searched for outliers at its own sampling and fitted again without them. A fit at the native sampling
-//! rejects them itself ([`crate::modal::prepare::rejection`]).
+//! Outliers of frames whose sampling is reduced for the fit, which smears them: a frame that the
+//! model does not explain, or of which the fit has rejected pixels, is searched for outliers at its
+//! own sampling and fitted again without them. A fit at the native sampling rejects them itself
+//! ([`crate::modal::prepare::rejection`]).
 
 use crate::Result;
 use crate::imaging::Chain;
@@ -17,8 +18,9 @@ use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 impl ModalFitter {
-    /// Searches for outlier pixels in those of `frames` that may have some, fits these again without them, and keeps the better fit. Returns
-    /// the cleaned frames of the fits that were replaced.
+    /// Searches for outlier pixels in those of `frames` that may have some, fits these again
+    /// without them, and keeps the better fit. Returns the cleaned frames of the fits that were
+    /// replaced.
     ///
     /// # Errors
     /// As [`crate::modal::solve::engine::fit`].

@@ -1,10 +1,12 @@
 //! Restarts of fits that ended in a wrong minimum.
 //!
-//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is larger than noise and a
-//! finely sampled model explain (which of a faint star is less than what is accepted of a coarser model), or the fit has used up its
-//! evaluations. It is then restarted from a perturbed start, and the better fit is kept. A
-//! model that is wrong leaves a large χ² too: a misfit of which two restarts end at the same χ² is not restarted again, and one that most
-//! images of a sequence share is not restarted at all. Where no restart ends at the same χ², the best fit is a misfit.
+//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does
+//! not, χ² is larger than noise and a finely sampled model explain (which of a faint star is less
+//! than what is accepted of a coarser model), or the fit has used up its evaluations. It is then
+//! restarted from a perturbed start, and the better fit is kept. A model that is wrong leaves a
+//! large χ² too: a misfit of which two restarts end at the same χ² is not restarted again, and one
+//! that most images of a sequence share is not restarted at all. Where no restart ends at the same
+//! χ², the best fit is a misfit.
 
 use crate::Result;
 use crate::imaging::Chain;
@@ -20,23 +22,25 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// The new start is this share of the end of the last fit plus a random perturbation, waves RMS a mode. Of 32 draws with pistons
-/// of 500 nm and a defocus of 0.5 and 0.25 waves 28 then ended in the right minimum; with a share of 1 27, and then 25 with
-/// half the perturbation and 21 with twice the perturbation.
+/// The new start is this share of the end of the last fit plus a random perturbation, waves RMS a
+/// mode. Of 32 draws with pistons of 500 nm and a defocus of 0.5 and 0.25 waves 28 then ended in
+/// the right minimum; with a share of 1 27, and then 25 with half the perturbation and 21 with
+/// twice the perturbation.
 const START_SHARE: f64 = 0.5;
 const SEGMENT_WAVES: f64 = 0.05;
 /// See [`SEGMENT_WAVES`].
 const NCPA_WAVES: f64 = 0.02;
-/// Two fits of an image whose χ² differ by no more than this share are taken to have ended in one minimum: a fit stops within 0.001 nm
-/// of it, where χ² differs by far less.
+/// Two fits of an image whose χ² differ by no more than this share are taken to have ended in one
+/// minimum: a fit stops within 0.001 nm of it, where χ² differs by far less.
 const SAME_MINIMUM: f64 = 1e-3;
-/// Restarts that end in the minimum of a fit before it is taken for the best one. With pistons of 500 nm RMS at a peak S/N of 30, one such restart and
-/// restarts from five deviations of χ² on leave 36 of 40 draws in the right minimum; two, and restarts from three deviations on, 38.
+/// Restarts that end in the minimum of a fit before it is taken for the best one. With pistons of
+/// 500 nm RMS at a peak S/N of 30, one such restart and restarts from five deviations of χ² on
+/// leave 36 of 40 draws in the right minimum; two, and restarts from three deviations on, 38.
 const CONFIRMING: usize = 2;
 
 impl ModalFitter {
-    /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier pixels that were rejected
-    /// from a frame stay rejected.
+    /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier
+    /// pixels that were rejected from a frame stay rejected.
     ///
     /// # Errors
     /// As [`crate::modal::solve::engine::fit`].
@@ -77,7 +81,8 @@ impl ModalFitter {
                 }
                 let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());
                 if is_same_minimum(after, before) {
-                    // The first fit is kept: the other may differ from it by whole wavelengths of pistons.
+                    // The first fit is kept: the other may differ from it by whole wavelengths of
+                    // pistons.
                     confirmed[image] += 1;
                     fits[image].minimum.evaluations += again.minimum.evaluations;
                 } else if fits[image].improve(again) {
@@ -93,7 +98,8 @@ impl ModalFitter {
         Ok(())
     }
 
-    /// The images whose fits need a restart, and have not ended in the same minimum again [`CONFIRMING`] times.
+    /// The images whose fits need a restart, and have not ended in the same minimum again
+    /// [`CONFIRMING`] times.
     fn failed(&self, fits: &[ImageFit], confirmed: &[usize]) -> Vec<usize> {
         let reports = self.reports(fits);
         let misfits = can_restart_misfits(&reports);
@@ -103,8 +109,8 @@ impl ModalFitter {
         (0..fits.len()).filter(is_failed).collect()
     }
 
-    /// Perturbed start after a fit that ended at `coefficients_nm`. The perturbation is the same for every image, so that a fit depends on
-    /// its own image alone.
+    /// Perturbed start after a fit that ended at `coefficients_nm`. The perturbation is the same
+    /// for every image, so that a fit depends on its own image alone.
     pub(crate) fn perturbed_start(&self, coefficients_nm: &[f64], attempt: usize) -> Vec<f64> {
         let mut rng = ChaCha12Rng::seed_from_u64(attempt as u64);
         let wavelength_nm = self.model.optics.parts().wavelength_nm;
@@ -123,13 +129,15 @@ pub(in crate::modal) fn is_same_minimum(one: f64, other: f64) -> bool {
     (one - other).abs() <= SAME_MINIMUM * other
 }
 
-/// Whether misfits may be restarted: unless most of a sequence misfit, which is the model's or the turbulence's doing.
+/// Whether misfits may be restarted: unless most of a sequence misfit, which is the model's or the
+/// turbulence's doing.
 fn can_restart_misfits(reports: &[ImageReport]) -> bool {
     let misfits = reports.iter().filter(|report| report.reduced_chi2 > report.expected_chi2).count();
     reports.len() < SEQUENCE || 2 * misfits < reports.len()
 }
 
-/// Whether a fit probably ended in a wrong minimum, so that another start could lead to a better one.
+/// Whether a fit probably ended in a wrong minimum, so that another start could lead to a better
+/// one.
 fn needs_restart(report: &ImageReport, misfits: bool) -> bool {
     match report.status {
         Status::WrongMinimum => true,

@@ -1,7 +1,8 @@
-//! Runner: state machine of one image's fit by reverse communication. The caller evaluates objective and gradient at
-//! [`Runner::point`] and passes them to [`Runner::advance`], which says what it needs next; the weights are renewed where the fit
-//! converged. A runner neither evaluates nor allocates: the lock-step batch on a device and the loop over images on a CPU thread
-//! use the same one.
+//! Runner: state machine of one image's fit by reverse communication. The caller evaluates
+//! objective and gradient at [`Runner::point`] and passes them to [`Runner::advance`], which says
+//! what it needs next; the weights are renewed where the fit converged. A runner neither evaluates
+//! nor allocates: the lock-step batch on a device and the loop over images on a CPU thread use the
+//! same one.
 
 use crate::Result;
 use crate::control::Control;
@@ -18,25 +19,26 @@ use crate::scene::Weighting;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Most renewals of the weights from the fitted model. Where the model is right two are enough; where it misfits, each gains
-/// about one digit.
+/// Most renewals of the weights from the fitted model. Where the model is right two are enough;
+/// where it misfits, each gains about one digit.
 const REWEIGHTINGS: usize = 8;
-/// Expected decrease of χ² below which a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. Another step
-/// tolerance scales it as its square.
+/// Expected decrease of χ² below which a fit stops, at the default step tolerance: √(2·1e-5) = 0.4
+/// % of a σ. Another step tolerance scales it as its square.
 const DECREMENT: f64 = 1e-5;
-/// The same for the fit with the first weights, those of the data's own noise: one σ along one of a hundred directions. Further
-/// steps are better made with the weights of the model.
+/// The same for the fit with the first weights, those of the data's own noise: one σ along one of a
+/// hundred directions. Further steps are better made with the weights of the model.
 const APPROACH: f64 = 1.0;
-/// New weights move the minimum by at most a tenth of the distance since the last ones (where the model misfits; by far less
-/// where it is right): they are not renewed where that is less than the step tolerance.
+/// New weights move the minimum by at most a tenth of the distance since the last ones (where the
+/// model misfits; by far less where it is right): they are not renewed where that is less than the
+/// step tolerance.
 const REWEIGHTING_STEPS: f64 = 10.0;
-/// The fit with the first weights also stops where the next step is this many tolerances: less than [`REWEIGHTING_STEPS`], so
-/// that the remaining steps rarely need another renewal.
+/// The fit with the first weights also stops where the next step is this many tolerances: less than
+/// [`REWEIGHTING_STEPS`], so that the remaining steps rarely need another renewal.
 const APPROACH_STEPS: f64 = 5.0;
 /// The step tolerance to which [`DECREMENT`] belongs.
 const DECREMENT_STEP_NM: f64 = 1e-3;
-/// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
-/// behind the metric does not hold.
+/// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which
+/// the linearisation behind the metric does not hold.
 const LARGEST_STEP_WAVES: f64 = 0.2;
 
 /// What a fit needs next.
@@ -45,8 +47,8 @@ const LARGEST_STEP_WAVES: f64 = 0.2;
 pub(in crate::modal) enum Next {
     /// Objective and gradient at [`Runner::point`].
     Evaluation,
-    /// The PSF at [`Runner::point`] for [`Runner::renew`], and then objective and gradient there, of the exposure with its
-    /// new weights.
+    /// The PSF at [`Runner::point`] for [`Runner::renew`], and then objective and gradient there,
+    /// of the exposure with its new weights.
     Renewal,
     /// The PSF at [`Runner::point`] for [`Runner::settle`], which ends the fit.
     Psf,
@@ -96,10 +98,12 @@ impl Runner {
         })
     }
 
-    /// Begins the fit of another image, in the coordinates that [`crate::modal::solve::metrics::Metrics::for_image`] gives it.
+    /// Begins the fit of another image, in the coordinates that
+    /// [`crate::modal::solve::metrics::Metrics::for_image`] gives it.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] for a start that is not finite, [`crate::Error::Shape`] for one of another length.
+    /// [`crate::Error::Value`] for a start that is not finite, [`crate::Error::Shape`] for one of
+    /// another length.
     pub(in crate::modal) fn begin(
         &mut self,
         (metric, scale): (&Arc<Metric>, f64),
@@ -146,7 +150,8 @@ impl Runner {
         self.set_tolerances()
     }
 
-    /// Ends the fit: computes flux, background and χ² from the PSF at the point where the solver ended.
+    /// Ends the fit: computes flux, background and χ² from the PSF at the point where the solver
+    /// ended.
     pub(in crate::modal) fn settle(&mut self, psf: &[f64], image: &PreparedFrame) {
         let photometry = photometry(&image.exposure, psf);
         (self.flux_e, self.background_e) = photometry;
@@ -157,7 +162,8 @@ impl Runner {
     fn set_tolerances(&mut self) -> Result<()> {
         let (step_nm, decrement) = self.tolerances;
         if self.has_noise_weights && self.reweightings == 0 {
-            // A step in nm is a smaller part of the error bars of a fainter star: there the decrease ends the fit.
+            // A step in nm is a smaller part of the error bars of a fainter star: there the
+            // decrease ends the fit.
             self.solver.set_tolerances(APPROACH_STEPS * step_nm, decrement.max(APPROACH))
         } else {
             self.solver.set_tolerances(step_nm, decrement)
@@ -169,8 +175,8 @@ impl Runner {
         self.solver.outcome().reason
     }
 
-    /// Writes the minimum. Flux, background and χ² are those of the best point that was evaluated; the last step from there,
-    /// where there is one, is below the tolerances.
+    /// Writes the minimum. Flux, background and χ² are those of the best point that was evaluated;
+    /// the last step from there, where there is one, is below the tolerances.
     pub(in crate::modal) fn write(&self, minimum: &mut Minimum) {
         let outcome = self.solver.outcome();
         self.solver.write_solution(&mut minimum.coefficients_nm);

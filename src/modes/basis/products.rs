@@ -1,4 +1,5 @@
-//! Sums over the modes of a basis and over the samples of the pupil, computed without dense maps of the sparse modes.
+//! Sums over the modes of a basis and over the samples of the pupil, computed without dense maps of
+//! the sparse modes.
 
 use super::{Basis, SparseMap};
 use crate::{Error, Result};
@@ -54,7 +55,8 @@ impl Basis {
         Ok(self.sparse.iter().map(of_sparse).chain(self.dense.outer_iter().map(of_map)).collect())
     }
 
-    /// Mean square of each mode over the pupil, weighted by `amplitude` `[y, x]`, nm² for a coefficient of 1 nm.
+    /// Mean square of each mode over the pupil, weighted by `amplitude` `[y, x]`, nm² for a
+    /// coefficient of 1 nm.
     ///
     /// # Errors
     /// As [`Basis::visible_gram`].
@@ -98,12 +100,12 @@ impl Basis {
         Ok(gram)
     }
 
-    /// Mean products of the modes over the pupil, `[modes, modes]`, weighted by `amplitude` `[y, x]` and with the mean
-    /// of each mode removed: an image does not depend on piston.
+    /// Mean products of the modes over the pupil, `[modes, modes]`, weighted by `amplitude`
+    /// `[y, x]` and with the mean of each mode removed: an image does not depend on piston.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the amplitude has another shape than the maps; [`Error::Value`] where it sums to no
-    /// positive number.
+    /// [`Error::Shape`] where the amplitude has another shape than the maps; [`Error::Value`] where
+    /// it sums to no positive number.
     pub fn visible_gram(&self, amplitude: &Array2<f64>) -> Result<Array2<f64>> {
         let weight = amplitude / self.total_amplitude(amplitude)?;
         let means = Array1::from(self.along(&weight)?);
@@ -114,8 +116,8 @@ impl Basis {
         Ok(gram)
     }
 
-    /// The variance of Σ of the maps of `modes` at each sample, `[y, x]`, for coefficients of the given covariance
-    /// (`[mode, mode]`, of all modes).
+    /// The variance of Σ of the maps of `modes` at each sample, `[y, x]`, for coefficients of the
+    /// given covariance (`[mode, mode]`, of all modes).
     ///
     /// # Panics
     /// If the covariance does not have one row and column per mode.

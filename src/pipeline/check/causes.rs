@@ -1,4 +1,5 @@
-//! Causes of a misfit: the optical parameters, all fitted together, the area of the pixels, and shapes of the residual.
+//! Causes of a misfit: the optical parameters, all fitted together, the area of the pixels, and
+//! shapes of the residual.
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
 use super::{Work, chi2_of, first_used, optics, pixels_of, shapes};
@@ -9,12 +10,14 @@ use crate::pipeline::residual_shape::{Shape, ShapeKind};
 use crate::scene::{Optic, Scene, Setting};
 use crate::{Error, Result};
 
-/// Part of the excess of χ² that a shape of the residual must explain where there is a misfit: see `misfit`.
+/// Part of the excess of χ² that a shape of the residual must explain where there is a misfit: see
+/// `misfit`.
 const EXPLAINED_BY_SHAPE: f64 = 0.5;
 /// Excess of χ² from which there is a misfit, in standard deviations of χ².
 const MISFIT_SIGMA: f64 = 5.0;
-/// Rotations that are tried beside the scene's where nothing else explains the images: a fit of the rotation alone finds one that is 3 to 5°
-/// away (7 and 18 segments), and a pupil of hexagons without vanes equals itself every 60°.
+/// Rotations that are tried beside the scene's where nothing else explains the images: a fit of the
+/// rotation alone finds one that is 3 to 5° away (7 and 18 segments), and a pupil of hexagons
+/// without vanes equals itself every 60°.
 const ROTATIONS_DEG: [f64; 9] = [6.0, -6.0, 12.0, -12.0, 18.0, -18.0, 24.0, -24.0, 30.0];
 /// Key of the side of a pixel's sensitive square.
 const PIXEL_FILL: &str = "image.pixel_fill";
@@ -106,7 +109,8 @@ impl Work<'_> {
             let others = all.iter().copied().filter(|optic| !parameters.contains(optic)).collect();
             Ok(FittedTogether { minimum, parameters, others })
         };
-        // Beyond some per cent the fit of all parameters does not reach a plate scale that one alone finds.
+        // Beyond some per cent the fit of all parameters does not reach a plate scale that one
+        // alone finds.
         let other =
             if left.is_misfit { self.with_case(fitted, cache, |case, found| case.other_optic(found))? } else { None };
         let mut elsewhere: Vec<_> = other.map(|other| (other.optic, other.fitted)).into_iter().collect();
@@ -134,8 +138,8 @@ impl Work<'_> {
         best.map_or_else(|| done(None, &[]), |(minimum, parameters)| done(minimum, parameters))
     }
 
-    /// A rotation of the pupil that explains the images alone, from that of the scene on or, where that leads to none, from the best of others;
-    /// `fitted` is the fit with the scene's.
+    /// A rotation of the pupil that explains the images alone, from that of the scene on or, where
+    /// that leads to none, from the best of others; `fitted` is the fit with the scene's.
     fn rotation(&self, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Result<Option<OpticsMinimum>> {
         let only_rotation = [Optic::ROTATION];
         let near = self.minimum((scene, fitted), cache, &only_rotation, &[])?;
@@ -156,8 +160,9 @@ impl Work<'_> {
         Ok(far.filter(is_explained))
     }
 
-    /// Minimum of `parameters` and the modes, which begins at the values `elsewhere` where χ² is lower there than in `fitted`; `None` where
-    /// the fit does not converge or leads to values that the scene does not accept.
+    /// Minimum of `parameters` and the modes, which begins at the values `elsewhere` where χ² is
+    /// lower there than in `fitted`; `None` where the fit does not converge or leads to values that
+    /// the scene does not accept.
     fn minimum(
         &self,
         (scene, fitted): (&Scene, &Fitted),
@@ -179,7 +184,8 @@ impl Work<'_> {
         }
     }
 
-    /// Reduced χ² with pixels that are squares without gaps, where the pixels of `scene` are points and the residual has a blur.
+    /// Reduced χ² with pixels that are squares without gaps, where the pixels of `scene` are points
+    /// and the residual has a blur.
     fn chi2_of_square_pixels(
         &self,
         scene: &Scene,
@@ -201,14 +207,15 @@ impl Work<'_> {
     }
 }
 
-/// Whether the parameters of `minimum` leave no more of a misfit than one of them may that is its cause.
+/// Whether the parameters of `minimum` leave no more of a misfit than one of them may that is its
+/// cause.
 fn is_explained(minimum: &OpticsMinimum) -> bool {
     let [own, least] = minimum.reduced_chi2;
     (least - 1.0).max(0.0) < optics::MOST_LEFT * (own - 1.0)
 }
 
-/// Finding of pixels that are squares without gaps where the scene has points: a fault where they lower the reduced χ², of the scene and of
-/// the squares, so far as an optical parameter must.
+/// Finding of pixels that are squares without gaps where the scene has points: a fault where they
+/// lower the reduced χ², of the scene and of the squares, so far as an optical parameter must.
 fn of_square_pixels([own_chi2, chi2]: [f64; 2], left: &Left, scale: f64) -> Option<Finding> {
     let gain = left.images * (own_chi2 - chi2) * left.pixels / scale - (left.images * left.pixels).max(2.0).ln();
     let is_fault = gain > 0.0 && (chi2 - 1.0).max(0.0) < optics::MOST_LEFT * (own_chi2 - 1.0);

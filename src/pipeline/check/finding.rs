@@ -7,8 +7,8 @@ pub(super) const SAMPLING: &str = "image.samples_per_lambda_over_d";
 pub(super) const FOCUS: &str = "image.diversity_focus_waves_rms";
 /// Key of the wavelength.
 pub(super) const WAVELENGTH: &str = "image.wavelength_nm";
-/// Part of a pixel's angle within which a wavelength alone explains a sampling: some error bars of the images, and less than any wavelength of a file is
-/// from another.
+/// Part of a pixel's angle within which a wavelength alone explains a sampling: some error bars of
+/// the images, and less than any wavelength of a file is from another.
 const SAME_PIXEL: f64 = 2e-3;
 
 /// What is looked at.
@@ -16,7 +16,8 @@ const SAME_PIXEL: f64 = 2e-3;
 pub enum CheckedQuantity {
     /// An optical parameter. Of the plate scale, where a card of the file confirms the wavelength.
     Optic(Optic),
-    /// Pixels per λ/D: another angle of a pixel, another wavelength or another size of the pupil have the same effect.
+    /// Pixels per λ/D: another angle of a pixel, another wavelength or another size of the pupil
+    /// have the same effect.
     PlateScaleOrWavelength,
     /// Wavelength, where a card of the file has another one and the images agree with it.
     Wavelength,
@@ -108,7 +109,8 @@ pub struct Finding {
     pub found: Option<f64>,
     /// Error bar of it, 1σ.
     pub sigma: Option<f64>,
-    /// Decrease of Schwarz's criterion, Δχ²/s − k ln N, with which faults are ranked: see [`check`](super::check()). 0 for what changes no χ².
+    /// Decrease of Schwarz's criterion, Δχ²/s − k ln N, with which faults are ranked: see
+    /// [`check`](super::check()). 0 for what changes no χ².
     pub gain: f64,
     /// Keys of the scene to set, with their values.
     pub settings: Vec<Setting>,
@@ -123,9 +125,9 @@ impl Finding {
         Self { quantity, verdict, scene: None, found: None, sigma: None, gain: 0.0, settings: Vec::new(), explanation }
     }
 
-    /// Writes values and settings in the units of the keys that `scene` names: a pixel in milliarcseconds, a defocus in nm. A wavelength is in nm, in place
-    /// of the sampling that shows it.
-    /// Settings that `scene` does not accept without others stay as they are.
+    /// Writes values and settings in the units of the keys that `scene` names: a pixel in
+    /// milliarcseconds, a defocus in nm. A wavelength is in nm, in place of the sampling that shows
+    /// it. Settings that `scene` does not accept without others stay as they are.
     pub(super) fn take_form_of(&mut self, scene: &Scene) {
         let key = match self.quantity {
             CheckedQuantity::Optic(optic) => optic.key().unwrap_or_default(),

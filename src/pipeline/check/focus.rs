@@ -1,8 +1,10 @@
-//! Size of the defocus, from the concentration of the light: an image in focus where the scene has a defocus, or the reverse.
+//! Size of the defocus, from the concentration of the light: an image in focus where the scene has
+//! a defocus, or the reverse.
 //!
-//! The Strehl ratio of the whole wavefront, defocus included, is the peak's part of the light over that of the pupil's image in focus,
-//! (ΣA)²/(M²·ΣA²) with the amplitude A on N samples and M = N·s, s pixels per λ/grid_m (Parseval). About exp(−(2πw)²) at w waves RMS, where
-//! it is not small (Maréchal), and a few hundredths at most, at a caustic, with a defocus of a wave.
+//! The Strehl ratio of the whole wavefront, defocus included, is the peak's part of the light over
+//! that of the pupil's image in focus, (ΣA)²/(M²·ΣA²) with the amplitude A on N samples and M =
+//! N·s, s pixels per λ/grid_m (Parseval). About exp(−(2πw)²) at w waves RMS, where it is not small
+//! (Maréchal), and a few hundredths at most, at a caustic, with a defocus of a wave.
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::Result;
@@ -10,7 +12,8 @@ use crate::scene::{Optic, Scene, Setting};
 use crate::telescope::Telescope;
 use ndarray::{ArrayView2, s};
 
-/// Strehl ratio from which an image is in focus: at most 0.24 waves RMS of wavefront, defocus included.
+/// Strehl ratio from which an image is in focus: at most 0.24 waves RMS of wavefront, defocus
+/// included.
 const IN_FOCUS: f64 = 0.1;
 /// Strehl ratio below which an image is not: 0.3 waves RMS or more.
 const OUT_OF_FOCUS: f64 = 0.03;
@@ -54,8 +57,9 @@ pub(super) fn fault(scene: &Scene, frame_e: ArrayView2<f64>) -> Result<Option<Fi
     }))
 }
 
-/// Part of the star's light in the brightest pixel; `None` where there is no star. The background is the median of the frame's edge, and a
-/// pixel counts no more than the brightest of its neighbours, as a hot one is alone.
+/// Part of the star's light in the brightest pixel; `None` where there is no star. The background
+/// is the median of the frame's edge, and a pixel counts no more than the brightest of its
+/// neighbours, as a hot one is alone.
 fn peak_part(frame_e: ArrayView2<f64>) -> Option<f64> {
     let (rows, columns) = frame_e.dim();
     let is_edge = |(y, x): (usize, usize)| y == 0 || x == 0 || y + 1 == rows || x + 1 == columns;

@@ -1,4 +1,5 @@
-//! Values of the file, cards and its own scene, that differ from the scene's: which of the two the images agree with.
+//! Values of the file, cards and its own scene, that differ from the scene's: which of the two the
+//! images agree with.
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
 use super::{Work, chi2_of, pixels_of};
@@ -13,8 +14,9 @@ impl Work<'_> {
         self.contradictions.iter().map(|one| self.of_contradiction(one, scene, cache, fitted)).collect()
     }
 
-    /// A value of the file is a fault where the images agree with it, and where they do not decide: an estimate refuses it then. Of a scene
-    /// that was corrected since the file was written the images know better.
+    /// A value of the file is a fault where the images agree with it, and where they do not decide:
+    /// an estimate refuses it then. Of a scene that was corrected since the file was written the
+    /// images know better.
     fn of_contradiction(&self, one: &Contradiction, scene: &Scene, cache: &ModelCache, fitted: &Fitted) -> Finding {
         let settings = vec![one.of_file.clone()];
         let fault = |gain: f64, explanation: String| Finding {

@@ -1,4 +1,5 @@
-//! Optical parameters of the scene, all fitted together with the modes: which of them the images contradict.
+//! Optical parameters of the scene, all fitted together with the modes: which of them the images
+//! contradict.
 
 use super::finding::{CheckedQuantity, Finding, SAMPLING, Verdict, WAVELENGTH};
 use crate::linear_algebra::SpdInverse;
@@ -7,8 +8,8 @@ use crate::pipeline::consistency::Contradiction;
 use crate::scene::{Optic, Scene, Setting};
 use ndarray::{Array1, Array2};
 
-/// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the cause of a misfit: of a companion, a
-/// saturated or a non-linear detector they leave more.
+/// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the
+/// cause of a misfit: of a companion, a saturated or a non-linear detector they leave more.
 pub(super) const MOST_LEFT: f64 = 0.5;
 
 /// The optical parameters that `scene` has, as a value of `estimate.fit_optics`.
@@ -29,8 +30,9 @@ pub(super) fn quantity(optic: Optic) -> CheckedQuantity {
     if optic == Optic::PLATE_SCALE { CheckedQuantity::PlateScaleOrWavelength } else { CheckedQuantity::Optic(optic) }
 }
 
-/// One finding for each of `parameters` of `scene`. `scale` divides χ² (see [`check`](super::super::check())); `is_explained` says that the parameters
-/// together may be the cause.
+/// One finding for each of `parameters` of `scene`. `scale` divides χ² (see
+/// [`check`](super::super::check())); `is_explained` says that the parameters together may be the
+/// cause.
 pub(super) fn findings(
     (scene, parameters): (&Scene, &[Optic]),
     minimum: &OpticsMinimum,
@@ -64,10 +66,12 @@ fn finding(
         return Finding::open(quantity, "the modes reproduce its effect on the images");
     };
     let change = Array1::from_iter(group.iter().map(|one| one.value - one.scene));
-    // Rise of χ² where the group returns to the scene's values and all else is fitted again: Δᵀ C⁻¹ Δ of noise as stated.
+    // Rise of χ² where the group returns to the scene's values and all else is fitted again: Δᵀ C⁻¹
+    // Δ of noise as stated.
     let rise = SpdInverse::new(covariance).map_or(0.0, |inverse| change.dot(&inverse.inverse.dot(&change)));
     let rise = rise * minimum.reduced_chi2[1].max(1.0);
-    // Of an effect that is not linear, as that of a filter's width, this is too much: no parameter explains more than all together.
+    // Of an effect that is not linear, as that of a filter's width, this is too much: no parameter
+    // explains more than all together.
     let decrease = (minimum.reduced_chi2[0] - minimum.reduced_chi2[1]) * minimum.pixels as f64;
     let rise = rise.min(decrease.max(0.0));
     let gain = rise / scale - group.len() as f64 * (minimum.pixels.max(2) as f64).ln();
@@ -109,8 +113,8 @@ fn finding(
     }
 }
 
-/// What else may be wrong where the scene has its pixel as a pitch: a focal length, which changes the defocus of a stage, too. `factor` is the fitted
-/// sampling over the scene's.
+/// What else may be wrong where the scene has its pixel as a pitch: a focal length, which changes
+/// the defocus of a stage, too. `factor` is the fitted sampling over the scene's.
 fn of_focal_length(scene: &Scene, factor: f64) -> String {
     let Some((key, value, has_stage)) = scene.focal_form() else { return String::new() };
     let stage = if has_stage { ", and another defocus of the stage" } else { "" };
@@ -120,8 +124,9 @@ fn of_focal_length(scene: &Scene, factor: f64) -> String {
     )
 }
 
-/// Decides between plate scale and wavelength by the file: a pixel of a fixed angle spans λ/D times a factor that goes with 1/λ, so the
-/// sampling is proportional to the wavelength. Contradictions of the file that the images confirm leave `contradictions`.
+/// Decides between plate scale and wavelength by the file: a pixel of a fixed angle spans λ/D times
+/// a factor that goes with 1/λ, so the sampling is proportional to the wavelength. Contradictions
+/// of the file that the images confirm leave `contradictions`.
 pub(super) fn with_header(
     finding: &mut Finding,
     scene: &Scene,

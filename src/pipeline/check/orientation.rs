@@ -1,4 +1,5 @@
-//! Orientation of the images and sign of the defocus: what the pupil's shape shows, and what a poke does.
+//! Orientation of the images and sign of the defocus: what the pupil's shape shows, and what a poke
+//! does.
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use super::turns::{self, Turn};
@@ -12,13 +13,14 @@ use crate::scene::{Method, Scene};
 
 /// Largest part of χ² beyond 1 that the right orientation leaves.
 const LEFT_BY_TURN: f64 = 0.1;
-/// Rise of χ² above which images contradict an orientation whose pupil differs by less than `turns::DIFFERENT`: ten times Schwarz's ln N of 10⁴
-/// pixels, for the model's own error.
+/// Rise of χ² above which images contradict an orientation whose pupil differs by less than
+/// `turns::DIFFERENT`: ten times Schwarz's ln N of 10⁴ pixels, for the model's own error.
 const CONTRADICTED: f64 = 100.0;
 
 impl Work<'_> {
-    /// The findings, and `given` in the orientation with which the rest is checked; `fitted` becomes the fit of it. A poke comes with the
-    /// images before it and behind it, and is estimated by the method of the scene `own`.
+    /// The findings, and `given` in the orientation with which the rest is checked; `fitted`
+    /// becomes the fit of it. A poke comes with the images before it and behind it, and is
+    /// estimated by the method of the scene `own`.
     pub(super) fn orientation(
         &self,
         (own, given): (&Scene, &Scene),
@@ -40,7 +42,8 @@ impl Work<'_> {
         };
         let found = turns::of_poke(&estimated, (before, after), poke, is_ambiguous, self.control)?;
         let Some(settings) = &found.settings else {
-            // The shape of the pupil does not decide either: the finding says why the poke does not.
+            // The shape of the pupil does not decide either: the finding says why the poke does
+            // not.
             findings.retain(|known| known.verdict == Verdict::Fault);
             if found.is_other_part {
                 let fault = Finding::new(CheckedQuantity::Poke, Verdict::Fault, found.explanation.as_str());
@@ -79,11 +82,13 @@ impl Work<'_> {
         Ok((scene, vec![one(CheckedQuantity::Orientation, !is_sign), one(CheckedQuantity::DefocusSign, is_sign)]))
     }
 
-    /// The turn of the images that the pupil's shape shows, with which they are explained, and the findings; `fitted` becomes its fit.
+    /// The turn of the images that the pupil's shape shows, with which they are explained, and the
+    /// findings; `fitted` becomes its fit.
     fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<(Option<Turn>, Vec<Finding>)> {
         let turns::Shape { mut turns, mut hidden, shows_sign } = turns::turns(scene)?;
         let (own_chi2, is_explained, pixels) = (chi2_of(fitted), fitted.is_explained(), pixels_of(fitted));
-        // Turns that only bright images distinguish are also tried where the scene explains the images.
+        // Turns that only bright images distinguish are also tried where the scene explains the
+        // images.
         let is_tried = |turn: &Turn| if is_explained { !turn.is_plain } else { own_chi2 > 1.0 };
         let mut best: Option<(usize, Scene, f64)> = None;
         let mut is_shown: Vec<bool> = turns.iter().map(|turn| turn.is_plain).collect();

@@ -7,9 +7,9 @@ use crate::pipeline::residual_shape::{Shape, ShapeKind};
 use crate::pipeline::warnings::{TOO_SMALL, shown_chi2};
 use crate::scene::{Optic, Scene};
 
-/// Smallest value of a shape that is a fault. The model's own error looks like a blur of 0.07 pixels, a response
-/// that falls by 0.1 % and, in one of six draws, a faint companion (Keck, 128 samples, peak S/N of 500); the area of a pixel is a blur of
-/// 0.41 pixels.
+/// Smallest value of a shape that is a fault. The model's own error looks like a blur of 0.07
+/// pixels, a response that falls by 0.1 % and, in one of six draws, a faint companion (Keck, 128
+/// samples, peak S/N of 500); the area of a pixel is a blur of 0.41 pixels.
 pub(super) fn least(kind: ShapeKind) -> f64 {
     match kind {
         ShapeKind::Companion => 2e-3,
@@ -41,8 +41,8 @@ pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
     Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
 }
 
-/// Scatter of the pixels about the model over the stated noise: a fault where χ² is smaller than noise explains. It changes error bars, and no
-/// χ² against another: its gain is 0.
+/// Scatter of the pixels about the model over the stated noise: a fault where χ² is smaller than
+/// noise explains. It changes error bars, and no χ² against another: its gain is 0.
 pub(super) fn noise(fitted: &Fitted) -> Option<Finding> {
     let found = &fitted.fit.1;
     let used = found.combined.used_images.iter().filter_map(|&image| found.images.get(image));

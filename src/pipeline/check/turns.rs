@@ -1,9 +1,11 @@
 //! Orientations that the pupil's own shape shows, and those that a poke shows.
 //!
-//! An image in a wrong orientation is that of the pupil in this orientation. Where the pupil equals itself turned or flipped so, the image is
-//! explained as well, by a wavefront that is turned or flipped: only a poke determines such an orientation. The conjugate of the field at −u,
-//! with the wavefront −W(−u), has the same image: with a pupil of point symmetry and an even diversity the sign of the diversity is as
-//! little determined, and its wrong sign asks for a wavefront of the same size, so that no prior helps.
+//! An image in a wrong orientation is that of the pupil in this orientation. Where the pupil equals
+//! itself turned or flipped so, the image is explained as well, by a wavefront that is turned or
+//! flipped: only a poke determines such an orientation. The conjugate of the field at −u, with the
+//! wavefront −W(−u), has the same image: with a pupil of point symmetry and an even diversity the
+//! sign of the diversity is as little determined, and its wrong sign asks for a wavefront of the
+//! same size, so that no prior helps.
 
 use super::finding::{CheckedQuantity, FOCUS, Finding, Verdict};
 use crate::Result;
@@ -16,8 +18,9 @@ use ndarray::{Array2, Axis};
 
 /// Part of the pupil's light in which two pupils differ that images distinguish.
 const DIFFERENT: f64 = 0.01;
-/// Part of the light above which bright images may distinguish two pupils. Two vanes of 3 cm on 8.8 m that are 5° from point symmetry are 0.7 % of
-/// the light, and leave a reduced χ² of 7.5 at a peak S/N of 190. Differences below it are those of the sampling of the pupil.
+/// Part of the light above which bright images may distinguish two pupils. Two vanes of 3 cm on 8.8
+/// m that are 5° from point symmetry are 0.7 % of the light, and leave a reduced χ² of 7.5 at a
+/// peak S/N of 190. Differences below it are those of the sampling of the pupil.
 const NEARLY_EQUAL: f64 = 1e-3;
 
 /// Keys of the orientation.
@@ -28,10 +31,12 @@ pub(super) const ROTATION: &str = "pupil.rotation_deg";
 pub(super) struct Turn {
     /// Keys and values.
     pub(super) settings: Vec<Setting>,
-    /// Whether the opposite sign of the defocus has the same images. The images of a pupil turned by 180° are those of the opposite sign, so this holds
-    /// for a turn by 180°, and for a flip where the pupil equals its mirror image.
+    /// Whether the opposite sign of the defocus has the same images. The images of a pupil turned
+    /// by 180° are those of the opposite sign, so this holds for a turn by 180°, and for a flip
+    /// where the pupil equals its mirror image.
     pub(super) is_also_sign: bool,
-    /// Whether the pupils differ by more than `DIFFERENT`; by less, bright images alone distinguish them.
+    /// Whether the pupils differ by more than `DIFFERENT`; by less, bright images alone distinguish
+    /// them.
     pub(super) is_plain: bool,
     pub(super) name: String,
 }
@@ -42,7 +47,8 @@ pub(super) struct Shape {
     pub(super) turns: Vec<Turn>,
     /// Names of those that it does not distinguish.
     pub(super) hidden: Vec<String>,
-    /// Whether it shows the sign of the defocus, where the orientation is known; `None` where bright images may.
+    /// Whether it shows the sign of the defocus, where the orientation is known; `None` where
+    /// bright images may.
     pub(super) shows_sign: Option<bool>,
 }
 
@@ -153,7 +159,8 @@ pub(super) fn sign(shows_sign: bool) -> Finding {
     }
 }
 
-/// The keys of orientation and sign in which `other` differs from `scene`, with the values of `other`.
+/// The keys of orientation and sign in which `other` differs from `scene`, with the values of
+/// `other`.
 pub(super) fn differences(scene: &Scene, other: &Scene) -> Vec<Setting> {
     let keys = [FLIPS[0], FLIPS[1], ROTATION, FOCUS];
     keys.into_iter()
@@ -186,8 +193,9 @@ pub(super) struct PokeAnswer {
     pub(super) explanation: String,
 }
 
-/// What a poke shows of images before it, where there are some, and behind it. `is_ambiguous` says that `scene` has a turn in the place of
-/// which the opposite sign of the defocus has the same images: the sign of the poke decides between them.
+/// What a poke shows of images before it, where there are some, and behind it. `is_ambiguous` says
+/// that `scene` has a turn in the place of which the opposite sign of the defocus has the same
+/// images: the sign of the poke decides between them.
 pub(super) fn of_poke(
     scene: &Scene,
     (before, after): (Option<&Images>, &Images),
@@ -205,7 +213,8 @@ pub(super) fn of_poke(
     let is_sign = |settings: &[Setting]| settings.iter().any(|one| one.key().starts_with("image.diversity_"));
     let (best, runner_up) = (&found.best, &found.runner_up);
     if is_ambiguous && best.sign < 0.0 && !is_sign(&found.settings) {
-        // A reversed poke in turned images: a turn by 180° more and the opposite sign of the defocus have the same images, and its own sign.
+        // A reversed poke in turned images: a turn by 180° more and the opposite sign of the
+        // defocus have the same images, and its own sign.
         let waves = scene.image.diversity_focus_waves_rms;
         let flips = FLIPS.into_iter().zip([scene.image.flip_x, scene.image.flip_y]).zip(best.flip);
         found.settings.retain(|setting| setting.key() == ROTATION);
@@ -223,7 +232,8 @@ pub(super) fn of_poke(
         best.correlation.abs(),
         runner_up.correlation
     );
-    // A mirror image of a mirror's mirror image is the same: only who moved the segment knows which one it was.
+    // A mirror image of a mirror's mirror image is the same: only who moved the segment knows which
+    // one it was.
     if let Some(other) = found.other_part().filter(|_| !found.settings.is_empty()) {
         explanation = format!(
             "in the scene's own orientation {} moved (correlation {:.3}); if it was the one that was stated, {explanation}",
@@ -234,7 +244,8 @@ pub(super) fn of_poke(
     for warning in &found.warnings {
         explanation += &format!("; {warning}");
     }
-    // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was fitted.
+    // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was
+    // fitted.
     let gain = 2.0 * (best.log_likelihood - runner_up.log_likelihood);
     Ok(PokeAnswer { settings: Some(found.settings), is_other_part: false, gain, explanation })
 }

@@ -1,4 +1,5 @@
-//! Orientations of images, the map of a poke under each, and its comparison with a difference of maps.
+//! Orientations of images, the map of a poke under each, and its comparison with a difference of
+//! maps.
 
 use crate::ao::actuators_in_use;
 use crate::pupil::Pupil;
@@ -17,7 +18,8 @@ pub enum Poke {
 }
 
 impl Poke {
-    /// Piston of the segment of `scene` with the label `label`: that of `pupil.segment_labels` or of the pupil's file, else its number.
+    /// Piston of the segment of `scene` with the label `label`: that of `pupil.segment_labels` or
+    /// of the pupil's file, else its number.
     ///
     /// # Errors
     /// Those of [`Telescope::new`]; [`Error::Value`] for a label that no segment has.
@@ -102,7 +104,8 @@ impl ExpectedMap {
         format!("the poke of {} by {nm} nm", self.names[index])
     }
 
-    /// The part whose poke of either sign explains the difference best in the scene's own orientation.
+    /// The part whose poke of either sign explains the difference best in the scene's own
+    /// orientation.
     pub(super) fn moved(&self, pupil: &Pupil, difference_nm: &Array2<f64>, modes: usize) -> Result<Option<MovedPart>> {
         let (Poke::Segment(stated, nm) | Poke::Actuator(stated, nm)) = self.poke;
         let mut best: Option<MovedPart> = None;
@@ -158,7 +161,8 @@ impl ExpectedMap {
         pupil.remove_piston_tip_tilt(map.view())
     }
 
-    /// All orientations of the pupil's symmetry group with either sign, the likeliest first and among equals the simplest.
+    /// All orientations of the pupil's symmetry group with either sign, the likeliest first and
+    /// among equals the simplest.
     pub(super) fn candidates(
         &self,
         pupil: &Pupil,
@@ -190,7 +194,8 @@ impl ExpectedMap {
     }
 }
 
-/// Logarithm of the likelihood, over that of no poke, of a map with this correlation: residuals of as many coefficients, of unknown variance.
+/// Logarithm of the likelihood, over that of no poke, of a map with this correlation: residuals of
+/// as many coefficients, of unknown variance.
 fn log_likelihood(correlation: f64, modes: usize) -> f64 {
     let explained = correlation.clamp(0.0, 1.0 - 1e-9).powi(2);
     -0.5 * modes as f64 * (1.0 - explained).ln()

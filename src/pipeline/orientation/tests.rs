@@ -1,4 +1,5 @@
-//! Every orientation of a segment's and of an actuator's poke is found, also where the pupil is rotated.
+//! Every orientation of a segment's and of an actuator's poke is found, also where the pupil is
+//! rotated.
 
 use super::*;
 use ndarray::Array2;

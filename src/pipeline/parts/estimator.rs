@@ -27,12 +27,14 @@ impl Estimator {
         self.estimate_with(images.as_ref(), Some(parts))
     }
 
-    /// Fits the images of one part of the estimate from `images`, those of each channel as in [`Estimator::estimate`]. Fits of
-    /// `earlier` parts, of any number and of this estimate or another, are not made again where they are its own.
+    /// Fits the images of one part of the estimate from `images`, those of each channel as in
+    /// [`Estimator::estimate`]. Fits of `earlier` parts, of any number and of this estimate or
+    /// another, are not made again where they are its own.
     ///
     /// # Errors
-    /// As [`Estimator::estimate`], except that no image of the part need be usable; [`Error::Scene`] for a MAP estimate, whose
-    /// images are one problem, and for a scene with `estimate.budget_nm`.
+    /// As [`Estimator::estimate`], except that no image of the part need be usable;
+    /// [`Error::Scene`] for a MAP estimate, whose images are one problem, and for a scene with
+    /// `estimate.budget_nm`.
     pub fn fit_part(
         &self,
         images: &(impl AsRef<[Images]> + ?Sized),

@@ -23,9 +23,10 @@ const NUMBERS: [NumberColumn; 7] = [
 ];
 
 impl FittedPart {
-    /// Writes the part, whole or not at all: the cards `PART`, `PARTS` and `NIMAGES`, the tables `FITS`, a row for each fit, and
-    /// `COMMAND`; for each fit the coefficients (`COEFFICIENTS`, nm) and the weights of its pixels (`WEIGHTS`). Each of these is one row
-    /// after the other, because channels differ in size.
+    /// Writes the part, whole or not at all: the cards `PART`, `PARTS` and `NIMAGES`, the tables
+    /// `FITS`, a row for each fit, and `COMMAND`; for each fit the coefficients (`COEFFICIENTS`,
+    /// nm) and the weights of its pixels (`WEIGHTS`). Each of these is one row after the other,
+    /// because channels differ in size.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be written.

@@ -1,4 +1,5 @@
-//! Identity of an estimate: a hash of all that its fits depend on, by which parts of another one are refused.
+//! Identity of an estimate: a hash of all that its fits depend on, by which parts of another one
+//! are refused.
 
 use crate::io::file_of;
 use crate::pipeline::channels::ChannelImages;
@@ -16,8 +17,9 @@ const VALUES_AT_ONCE: usize = 512;
 /// Bytes of a file that are read at once.
 const BYTES_AT_ONCE: usize = 1 << 20;
 
-/// XXH3 in 128 bits of the version, the policy, the scene with its files, and scene and images of each channel. It distinguishes
-/// estimates; it is no protection against someone who constructs two with one hash.
+/// XXH3 in 128 bits of the version, the policy, the scene with its files, and scene and images of
+/// each channel. It distinguishes estimates; it is no protection against someone who constructs two
+/// with one hash.
 ///
 /// # Errors
 /// [`Error::File`] for a file that is there and cannot be read.

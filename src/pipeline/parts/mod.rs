@@ -1,9 +1,12 @@
-//! Parts of an estimate: the fits of some of its images, made by one process of several, and the estimate from all of them.
+//! Parts of an estimate: the fits of some of its images, made by one process of several, and the
+//! estimate from all of them.
 //!
-//! Part i of n has every n-th image from the i-th on. It ends with the fits of its images ([`Estimator::fit_part`]), and is a file
-//! ([`FittedPart::write`]). [`Estimator::estimate_from_parts`] makes the estimate as without them, and takes the fits from them. Fits that depend
-//! on all images (restarts of those that are outliers of a sequence, a larger model) are in no part: it makes them itself, so that the estimate
-//! has the bits of one run.
+//! Part i of n has every n-th image from the i-th on. It ends with the fits of its images
+//! ([`Estimator::fit_part`]), and is a file ([`FittedPart::write`]).
+//! [`Estimator::estimate_from_parts`] makes the estimate as without them, and takes the fits from
+//! them. Fits that depend on all images (restarts of those that are outliers of a sequence, a
+//! larger model) are in no part: it makes them itself, so that the estimate has the bits of one
+//! run.
 //!
 //! [`Estimator::fit_part`]: super::Estimator::fit_part
 //! [`Estimator::estimate_from_parts`]: super::Estimator::estimate_from_parts
@@ -88,7 +91,8 @@ pub struct FittedPart {
 type Fits = BTreeMap<(usize, usize), Vec<StoredFit>>;
 
 impl FittedPart {
-    /// Number of fits: one for each image that can be used, and those of outlier rejection and restarts.
+    /// Number of fits: one for each image that can be used, and those of outlier rejection and
+    /// restarts.
     pub fn fits(&self) -> usize {
         self.fits.values().map(Vec::len).sum()
     }
@@ -111,7 +115,8 @@ impl PartFits {
     /// The fits of all parts of an estimate.
     ///
     /// # Errors
-    /// [`Error::Value`] where parts are not of one estimate, or not all of them are there, each once.
+    /// [`Error::Value`] where parts are not of one estimate, or not all of them are there, each
+    /// once.
     pub fn of_all(parts: Vec<FittedPart>) -> Result<Self> {
         let Some(first) = parts.first() else {
             return Err(Error::Value("there is no part: all parts of an estimate are needed".into()));
@@ -141,7 +146,8 @@ impl PartFits {
         Ok(Self::of(identity, parts))
     }
 
-    /// The fits of those `parts` that are of the estimate `identity`; of an image in two, those of the last.
+    /// The fits of those `parts` that are of the estimate `identity`; of an image in two, those of
+    /// the last.
     fn of(identity: u128, parts: Vec<FittedPart>) -> Self {
         let parts = parts.into_iter().filter(|part| part.identity == identity);
         Self { identity, fits: parts.flat_map(|part| part.fits).collect(), series: Vec::new() }

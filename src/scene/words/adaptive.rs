@@ -5,7 +5,8 @@ use crate::scene::value::{FromToml, Range};
 use toml_edit::Value;
 
 words! {
-    /// Order, axes or signs of measured slopes, relative to all x and then all y over the subapertures in use, row by row.
+    /// Order, axes or signs of measured slopes, relative to all x and then all y over the
+    /// subapertures in use, row by row.
     #[derive(Copy)]
     SlopeOrder {
         /// All x, then all y, subapertures row by row.
@@ -52,18 +53,21 @@ words! {
     SensorKind {
         /// An array of lenslets.
         ShackHartmann = "shack-hartmann",
-        /// A four-sided pyramid in the focus, with a circular modulation, and four images of the pupil behind it.
+        /// A four-sided pyramid in the focus, with a circular modulation, and four images of the
+        /// pupil behind it.
         Pyramid = "pyramid",
     }
 }
 
 words! {
-    /// Measurement of the optical gains of a sensor whose response depends on the residual wavefront.
+    /// Measurement of the optical gains of a sensor whose response depends on the residual
+    /// wavefront.
     #[derive(Copy)]
     OpticalGainMethod {
         /// None: modes have the response of the calibration.
         None = "none",
-        /// Sines of a few modes on the mirror, found again in the slopes; each mode is divided by its gain.
+        /// Sines of a few modes on the mirror, found again in the slopes; each mode is divided by
+        /// its gain.
         Dither = "dither",
     }
 }
@@ -72,9 +76,11 @@ words! {
     /// Normalisation of the slopes of a pyramid sensor.
     #[derive(Copy)]
     SlopeNormalisation {
-        /// Differences of a pixel's four intensities over their mean sum in all pixels in use (Vérinaud 2004, Opt. Commun. 233, 27).
+        /// Differences of a pixel's four intensities over their mean sum in all pixels in use
+        /// (Vérinaud 2004, Opt. Commun. 233, 27).
         Global = "global",
-        /// Differences of a pixel's four intensities over their own sum (Ragazzoni 1996, J. Mod. Opt. 43, 289).
+        /// Differences of a pixel's four intensities over their own sum (Ragazzoni 1996, J. Mod.
+        /// Opt. 43, 289).
         Pixel = "pixel",
     }
 }
@@ -120,7 +126,8 @@ words! {
     ReconstructorKind {
         /// A truncated inverse of the interaction matrix, by its singular values: one dense matrix.
         Dense = "dense",
-        /// Regularised least squares, solved in every frame with a banded factorisation of the normal equations.
+        /// Regularised least squares, solved in every frame with a banded factorisation of the
+        /// normal equations.
         Sparse = "sparse",
     }
 }
@@ -133,7 +140,8 @@ words! {
         Closed = "closed",
         /// The mirror's own slopes are added before the reconstruction.
         PseudoOpenLoop = "pseudo-open-loop",
-        /// The mirror's own slopes are added for `fill = "inpaint"` and subtracted again before the integrator.
+        /// The mirror's own slopes are added for `fill = "inpaint"` and subtracted again before the
+        /// integrator.
         FullTurbulenceSlopes = "full-turbulence-slopes",
     }
 }

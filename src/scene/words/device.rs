@@ -12,7 +12,8 @@ pub enum DeviceChoice {
     Cpu,
     /// The first OpenCL device.
     OpenCl,
-    /// All GPUs, or all OpenCL devices where there is no GPU: the images of a modal estimate are shared among them.
+    /// All GPUs, or all OpenCL devices where there is no GPU: the images of a modal estimate are
+    /// shared among them.
     All,
     /// One OpenCL device, by the numbers that `cophase devices` prints.
     OpenClDevice {

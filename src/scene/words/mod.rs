@@ -1,6 +1,7 @@
 //! Words that a scene may use, as enums, and values with a syntax of their own.
 
-/// Defines an enum whose variants are words in a scene; variants after the semicolon are set by other keys.
+/// Defines an enum whose variants are words in a scene; variants after the semicolon are set by
+/// other keys.
 macro_rules! words {
     ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $word:literal,)+ $(; $(#[$other_doc:meta])* $other:ident($content:ty))? }) => {
         $(#[$meta])*

@@ -12,10 +12,12 @@ words! {
         Keck = "keck",
         /// Hexagons in rings, by default with the central one.
         Hexagonal = "hexagonal",
-        /// Round segments in rings, of the radius `segment_side_m`, by default with the central one.
+        /// Round segments in rings, of the radius `segment_side_m`, by default with the central
+        /// one.
         Round = "round",
         ;
-        /// A FITS file: amplitude in HDU `PUPIL`, segment labels in HDU `SEGMENT` (optional). Set by `pupil.file`.
+        /// A FITS file: amplitude in HDU `PUPIL`, segment labels in HDU `SEGMENT` (optional). Set
+        /// by `pupil.file`.
         File(PathBuf)
     }
 }
@@ -24,10 +26,11 @@ words! {
     /// Sampling of the pupil in the model.
     #[derive(Copy)]
     PupilModel {
-        /// Indicator function of each segment on a fine grid, low-passed and decimated: reaches the noise bound with
-        /// few samples.
+        /// Indicator function of each segment on a fine grid, low-passed and decimated: reaches the
+        /// noise bound with few samples.
         BandLimited = "band-limited",
-        /// Fraction of each sample's area in each segment; a sample at a border belongs to both segments.
+        /// Fraction of each sample's area in each segment; a sample at a border belongs to both
+        /// segments.
         Area = "area",
         /// Amplitude of each sample without a low pass; each sample belongs to one segment.
         Hard = "hard",
@@ -50,7 +53,8 @@ words! {
 words! {
     /// Basis of the non-common path aberrations.
     NcpaBasis {
-        /// Karhunen-Loève modes of the mirror's influence functions under the turbulence's statistics.
+        /// Karhunen-Loève modes of the mirror's influence functions under the turbulence's
+        /// statistics.
         Kl = "kl",
         /// Zernike polynomials in Noll's order, from tip on.
         Zernike = "zernike",

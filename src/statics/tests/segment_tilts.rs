@@ -74,12 +74,14 @@ fn tilts_are_estimated_where_they_are_significant() {
         .map(|tilts| estimated(&tilted, AoKnowledge::Telemetry, tilts));
     assert!(!never.has_tilts() && adopted.segment_tilts.unwrap().is_significant());
     assert!(always.segment_tilts.is_none());
-    // The same wavefronts, and so the same estimate, to what the loop moves by when it is taken to be at rest.
+    // The same wavefronts, and so the same estimate, to what the loop moves by when it is taken to
+    // be at rest.
     let apart =
         adopted.modes().coefficients_nm.into_iter().zip(always.modes().coefficients_nm).map(|(a, b)| (a - b).abs());
     assert!(apart.fold(0.0, f64::max) < 0.1);
 
-    // Smooth shapes of many segments are in no image behind the loop; what the loop leaves of the errors is.
+    // Smooth shapes of many segments are in no image behind the loop; what the loop leaves of the
+    // errors is.
     let mut response = ClosedLoopResponse::new(tilted.0.scene(), &tilted.1.samples).unwrap();
     let true_nm = coefficients_of(&truth.phasing_nm, pupil);
     let columns = segment_columns(&tilted);
@@ -93,7 +95,8 @@ fn tilts_are_estimated_where_they_are_significant() {
     let (total_nm, averaged_nm) = (adopted.error_budget.total_nm, adopted.error_budget.averaged_nm());
     println!("{:.2?} {:.2?}, behind the loop {behind_nm:.2?}", left_nm(&never), left_nm(&adopted));
     println!("{total_nm:.2?} {averaged_nm:.2?} {:?} {:.2?}", adopted.segment_tilts, adopted.errors.prior_rms_nm);
-    // 5.6 and 3.7 nm of the turbulence of 40 images; a pupil of seven segments has few edges, and most of its shapes are compensated.
+    // 5.6 and 3.7 nm of the turbulence of 40 images; a pupil of seven segments has few edges, and
+    // most of its shapes are compensated.
     assert!(behind_nm[1] < 0.8 * behind_nm[0] && left_nm(&adopted)[0] < left_nm(&never)[0]);
     // As in `errors_decrease_with_the_knowledge_of_the_ao`, for one draw.
     let [phasing_nm, ncpa_nm] = left_nm(&adopted);
@@ -111,7 +114,8 @@ fn tilts_are_estimated_where_they_are_significant() {
         .iter()
         .zip(maps.outer_iter())
         .fold(Array2::<f64>::zeros(pupil.amplitude.dim()), |sum, (nm, map)| sum + &(&map * *nm));
-    // The whole mirror has no piston, tip and tilt by convention: taking them out changes a map by rounding of some 100 nm.
+    // The whole mirror has no piston, tip and tilt by convention: taking them out changes a map by
+    // rounding of some 100 nm.
     let flat_nm = pupil.remove_piston_tip_tilt(phasing_nm.view()).unwrap();
     let lit = pupil
         .owner
@@ -128,7 +132,8 @@ fn tilts_are_estimated_where_they_are_significant() {
     let variance_nm2 = mean.dot(&adopted.errors.covariance_nm2.dot(&mean));
     assert!(variance_nm2.abs() < 1e-6, "{variance_nm2}");
 
-    // Corrections leave what the estimate leaves: tilts that exceed their error bars, and no plane is taken off the pistons alone.
+    // Corrections leave what the estimate leaves: tilts that exceed their error bars, and no plane
+    // is taken off the pistons alone.
     let corrected = adopted.corrections(tilted.0.scene(), None, f64::INFINITY).unwrap();
     assert_eq!((corrected.tilts_nm.len(), corrected.tilt_estimate_nm.len(), corrected.limited), (14, 14, 0));
     let estimates = corrected.estimate_nm.iter().chain(&corrected.tilt_estimate_nm).zip(segments_nm);
@@ -138,7 +143,8 @@ fn tilts_are_estimated_where_they_are_significant() {
     assert!(corrected.tilts_nm.iter().filter(|add| **add != 0.0).count() > 7);
 }
 
-/// A curvature of all segments alike is, behind a loop that takes out smooth shapes, a paraboloid of pistons and tilts.
+/// A curvature of all segments alike is, behind a loop that takes out smooth shapes, a paraboloid
+/// of pistons and tilts.
 #[test]
 fn a_figure_of_all_segments_does_not_become_pistons_and_tilts() {
     let (simulator, run) = run();
@@ -172,8 +178,8 @@ fn a_figure_of_all_segments_does_not_become_pistons_and_tilts() {
     let known_nm = change_nm(figures.view(), figures.row(0));
     let unknown_nm = change_nm(figures.slice(s![..0, ..]), figures.row(0));
     println!("{known_nm:.2} {unknown_nm:.2}");
-    // Without a figure in the model its 3 nm are a paraboloid of some 30 nm over seven segments; with it the prior of 1 nm weighs next to
-    // nothing beside 100,000 images.
+    // Without a figure in the model its 3 nm are a paraboloid of some 30 nm over seven segments;
+    // with it the prior of 1 nm weighs next to nothing beside 100,000 images.
     assert!(known_nm < 0.1 * unknown_nm && unknown_nm > 10.0, "{known_nm} {unknown_nm}");
 }
 
@@ -272,7 +278,8 @@ fn linear_tilt_response_is_the_derivative_of_the_response() {
         let difference = (at(5.0) - at(-5.0)) / 10.0;
         let off = norm(&(&difference - &linear.row(mode - 7))) / norm(&difference);
         println!("{mode}: {off:.3}");
-        // A quad cell is linear to some percent over a tilt of 20 nm, with which the linear part is measured.
+        // A quad cell is linear to some percent over a tilt of 20 nm, with which the linear part is
+        // measured.
         assert!(off < 0.05, "{off}");
     }
     // The loop flattens a plane through the segments, that of single segments by a part.

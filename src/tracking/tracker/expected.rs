@@ -1,14 +1,16 @@
 //! Corrections that were sent, and whether estimates show that they were applied.
 //!
-//! A tracker is not informed when a correction is applied, which changes the coefficients by d. Each estimate weighs "not applied" against
-//! "applied before it", with the part a ~ N(1, f²) of d that actuators of the relative error f make. For the white innovation w and u = L⁻¹d,
+//! A tracker is not informed when a correction is applied, which changes the coefficients by d.
+//! Each estimate weighs "not applied" against "applied before it", with the part a ~ N(1, f²) of d
+//! that actuators of the relative error f make. For the white innovation w and u = L⁻¹d,
 //!
 //! ```text
 //! ln Λ = ½·(|w|² − χ²) − ½·ln(1 + f²|u|²),   χ² = |w − u|² − f²·(u·(w − u))²/(1 + f²|u|²).
 //! ```
 //!
-//! The moment is not known, so that their sum starts again where it falls below 0 (CUSUM; Page 1954, Biometrika 41, 100), and with it the
-//! state of the applied correction, which is at d from the tracked one and follows the same gain: d ← d − K·d. While nothing is applied, the sum
+//! The moment is not known, so that their sum starts again where it falls below 0 (CUSUM; Page
+//! 1954, Biometrika 41, 100), and with it the state of the applied correction, which is at d from
+//! the tracked one and follows the same gain: d ← d − K·d. While nothing is applied, the sum
 //! exceeds h once in exp(h) estimates at most (Lorden 1971, Ann. Math. Stat. 42, 1897).
 
 use crate::Result;
@@ -19,10 +21,12 @@ use ndarray::{Array1, Array2};
 
 /// Relative error of actuators, 1σ: that of a calibration by hand.
 pub(super) const ACTUATOR_ERROR: f64 = 0.1;
-/// Standard deviations by which the applied part may differ from all: a half, five of them, is no application.
+/// Standard deviations by which the applied part may differ from all: a half, five of them, is no
+/// application.
 const PART_SIGMA: f64 = 3.0;
 
-/// A correction, or the part of it that is sent to the segments or to the mirror, that may be applied at any time.
+/// A correction, or the part of it that is sent to the segments or to the mirror, that may be
+/// applied at any time.
 #[derive(Debug, Clone)]
 pub(super) struct Expected {
     /// Number of the correction.
@@ -51,8 +55,9 @@ impl Expected {
         (self.log_ratio, self.projection, self.information) = (0.0, 0.0, 0.0);
     }
 
-    /// Weighs an estimate. One that an applied correction does not explain (χ² beyond `limit`) lowers the log-likelihood ratio, except where the state
-    /// without the correction does not explain it either: that is a bad estimate, and is ignored.
+    /// Weighs an estimate. One that an applied correction does not explain (χ² beyond `limit`)
+    /// lowers the log-likelihood ratio, except where the state without the correction does not
+    /// explain it either: that is a bad estimate, and is ignored.
     pub(super) fn weigh(&mut self, innovation: &Innovation, limit: f64) {
         let white_lead = innovation.whiten_vector(&self.lead_nm);
         let information = white_lead.dot(&white_lead);

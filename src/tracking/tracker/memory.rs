@@ -12,14 +12,16 @@ use crate::tracking::steps::{ModeStep, attribute, most_likely_step};
 use crate::tracking::threshold::chi2_limit;
 use ndarray::{Array1, Array2};
 
-/// An estimate is an outlier where χ² exceeds that of 4 standard deviations: of a night of one every 10 s, 0.1 by chance. It costs no more
-/// than the estimate.
+/// An estimate is an outlier where χ² exceeds that of 4 standard deviations: of a night of one
+/// every 10 s, 0.1 by chance. It costs no more than the estimate.
 const OUTLIER_Z: f64 = 4.0;
-/// The step in one mode that an outlier has is confirmed where the next estimate has it at 3 standard deviations.
+/// The step in one mode that an outlier has is confirmed where the next estimate has it at 3
+/// standard deviations.
 const CONFIRMING_CHI2: f64 = 9.0;
 /// Outliers in a row that do not confirm each other, after which the state is given up.
 pub(super) const MOST_OUTLIERS: usize = 10;
-/// Error bars, in terms of those of the step, to which the state is opened along a step: what was there before has no weight.
+/// Error bars, in terms of those of the step, to which the state is opened along a step: what was
+/// there before has no weight.
 const OPENING: f64 = 100.0;
 /// All that observations have left.
 #[derive(Debug, Clone)]
@@ -52,7 +54,8 @@ pub(super) struct Measured {
 pub(super) struct ComparedEstimate {
     /// Of all coordinates, which the filter uses.
     pub(super) innovation: Innovation,
-    /// The same without what unsteady modes do by themselves, which is tested; `None` where there are none.
+    /// The same without what unsteady modes do by themselves, which is tested; `None` where there
+    /// are none.
     without_unsteady: Option<Innovation>,
     /// Steps, white in terms of what is tested.
     pub(super) white_steps: Array2<f64>,
@@ -133,8 +136,8 @@ impl TrackerMemory {
         chi2_limit((self.coordinates.len() - self.motion.unsteady().len()).max(1), OUTLIER_Z)
     }
 
-    /// The changes that `suspect` and the next observation show together, where they do; both are then used. Modes are numbers of segment
-    /// modes here.
+    /// The changes that `suspect` and the next observation show together, where they do; both are
+    /// then used. Modes are numbers of segment modes here.
     pub(super) fn confirm(
         &mut self,
         suspect: &Measured,
@@ -200,7 +203,8 @@ impl TrackerMemory {
         Ok(chi2 < self.outlier_limit())
     }
 
-    /// Root of the sum of the squares by which `z_nm` differs from the state in the coordinates that are tested, and its error bar.
+    /// Root of the sum of the squares by which `z_nm` differs from the state in the coordinates
+    /// that are tested, and its error bar.
     fn moved_nm(&self, z_nm: &Array1<f64>, covariance_nm2: &Array2<f64>) -> [f64; 2] {
         let unsteady = self.motion.unsteady();
         let (mut moved_nm2, mut error_nm2) = (0.0, 0.0);
@@ -211,7 +215,8 @@ impl TrackerMemory {
         [moved_nm2.sqrt(), error_nm2.sqrt()]
     }
 
-    /// Uses an observation, and looks for changes in the window that ends with it; corrections follow the state.
+    /// Uses an observation, and looks for changes in the window that ends with it; corrections
+    /// follow the state.
     pub(super) fn accept(
         &mut self,
         measured: &Measured,

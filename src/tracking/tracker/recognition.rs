@@ -12,12 +12,14 @@ use ndarray::{Array1, ArrayView1, s};
 const MOST_CORRECTIONS: usize = 4;
 
 impl Tracker {
-    /// Expects that the correction `number`, which changes the coefficients by `change_nm`, may be applied at any time: as a whole, or to
-    /// segments or NCPA alone. [`Update::applied`] says which estimate showed it. Corrections before it stay possible, of which the four newest
-    /// are kept; the first that is applied takes the place of all.
+    /// Expects that the correction `number`, which changes the coefficients by `change_nm`, may be
+    /// applied at any time: as a whole, or to segments or NCPA alone. [`Update::applied`] says
+    /// which estimate showed it. Corrections before it stay possible, of which the four newest are
+    /// kept; the first that is applied takes the place of all.
     ///
     /// # Errors
-    /// [`Error::Value`] before the first estimate, and for a change that is not finite; [`Error::Shape`] for another number of modes.
+    /// [`Error::Value`] before the first estimate, and for a change that is not finite;
+    /// [`Error::Shape`] for another number of modes.
     pub fn expect(&mut self, number: i64, change_nm: ArrayView1<f64>) -> Result<()> {
         let Some(memory) = &self.memory else {
             return Err(Error::Value("a tracker without an estimate has nothing to correct".into()));
@@ -56,8 +58,9 @@ impl Tracker {
         numbers
     }
 
-    /// The log-likelihood ratio at which a correction is taken to be applied: with it `false_alarms_per_night` of each night at most are
-    /// taken so by chance, of all corrections that are expected.
+    /// The log-likelihood ratio at which a correction is taken to be applied: with it
+    /// `false_alarms_per_night` of each night at most are taken so by chance, of all corrections
+    /// that are expected.
     pub fn applied_threshold(&self) -> f64 {
         let per_night = self.expected.len().max(1) as f64 * NIGHT_S / self.settings.nominal_interval_s;
         // Rates of many alarms a frame must not make every frame an application.
@@ -78,8 +81,9 @@ impl Tracker {
         possible.max_by(|(_, a), (_, b)| a.log_ratio.total_cmp(&b.log_ratio)).map(|(place, _)| place)
     }
 
-    /// The place of a correction that explains `changes` at least as well as they themselves: their statistic is twice the logarithm of their
-    /// likelihood ratio, with a size that is fitted, which that of a correction is not.
+    /// The place of a correction that explains `changes` at least as well as they themselves: their
+    /// statistic is twice the logarithm of their likelihood ratio, with a size that is fitted,
+    /// which that of a correction is not.
     pub(super) fn explanation(&self, changes: &[Change]) -> Option<usize> {
         let most = changes.iter().map(|change| change.statistic).fold(f64::NAN, f64::max);
         self.likeliest().filter(|&place| 2.0 * self.expected[place].log_ratio >= most)
@@ -109,7 +113,8 @@ impl Tracker {
 }
 
 impl TrackerMemory {
-    /// Moves the state by a correction, whose size is known to the error of actuators; the drift's rate learns nothing of it.
+    /// Moves the state by a correction, whose size is known to the error of actuators; the drift's
+    /// rate learns nothing of it.
     fn move_by(&mut self, taken: &Expected) {
         self.filter.state_nm += taken.lead_nm();
         self.filter.open(taken.change_nm.view(), ACTUATOR_ERROR.powi(2));

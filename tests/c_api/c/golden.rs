@@ -17,8 +17,8 @@ fn file(name: &str) -> PathBuf {
     root().join("tests/golden").join(name)
 }
 
-/// The golden scene with that program's choices, as tests/golden.rs has them; without its files where `arrays` stand for
-/// them.
+/// The golden scene with that program's choices, as tests/golden.rs has them; without its files
+/// where `arrays` stand for them.
 fn scene(weighting: &str, arrays: bool) -> String {
     let text = std::fs::read_to_string(file("scene.toml")).unwrap();
     let kept = |line: &&str| !arrays || !(line.starts_with("file") || line.starts_with("diversity_file"));

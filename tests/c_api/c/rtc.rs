@@ -1,11 +1,13 @@
-//! The example of a real-time controller does its work: every frame is estimated or counted as dropped, whatever the rate.
+//! The example of a real-time controller does its work: every frame is estimated or counted as
+//! dropped, whatever the rate.
 
 use super::{command, compile, here, root, succeeded};
 use cophase::scene::Scene;
 use cophase::source;
 use std::path::{Path, PathBuf};
 
-/// Written as the program writes them, so that the example's reader of FITS is tried on what users have.
+/// Written as the program writes them, so that the example's reader of FITS is tried on what users
+/// have.
 fn images(directory: &Path) -> PathBuf {
     let images = directory.join("images.fits");
     let settings = [("image.count", "5"), ("image.peak_snr", "300"), ("aberrations.segment_piston_rms_nm", "50")];

@@ -1,5 +1,5 @@
-//! FITS files: what a user would expect to be read is, what is hostile is refused in a sentence, and no change of bits,
-//! lengths or cards does anything else.
+//! FITS files: what a user would expect to be read is, what is hostile is refused in a sentence,
+//! and no change of bits, lengths or cards does anything else.
 
 use super::{generator, pick, probes, seeds};
 use rand::RngExt;
@@ -116,8 +116,9 @@ fn changed_files_are_read_or_refused() {
     assert!(read > 400 && refused > 400, "{read} read, {refused} refused");
 }
 
-/// A header can ask for 8 GB in 2880 bytes. It is refused for the bytes that are not there, before memory is asked for
-/// them: the peak of this process does not move by as much as a hundredth of that.
+/// A header can ask for 8 GB in 2880 bytes. It is refused for the bytes that are not there, before
+/// memory is asked for them: the peak of this process does not move by as much as a hundredth of
+/// that.
 #[test]
 fn a_header_of_a_billion_pixels_takes_no_memory() {
     let file = probes::File::new("billion");

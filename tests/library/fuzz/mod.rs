@@ -1,5 +1,6 @@
-//! No input panics, hangs, or takes more memory than it says: the probes of the fuzz targets (`fuzz/`), on its seeds and on
-//! what a seeded generator makes of them. `scripts/fuzz` goes on where this ends, with a nightly toolchain.
+//! No input panics, hangs, or takes more memory than it says: the probes of the fuzz targets
+//! (`fuzz/`), on its seeds and on what a seeded generator makes of them. `scripts/fuzz` goes on
+//! where this ends, with a nightly toolchain.
 
 #[path = "../../../fuzz/src/frames.rs"]
 mod frames;

@@ -85,13 +85,15 @@ fn text(key: &str, value: &str) -> String {
     settings.into_iter().map(|(key, value)| format!("{key} = {value}\n")).collect()
 }
 
-/// Builds and images what `text` describes, if it is a scene. Only a value that makes the model large is left to the other
-/// tests: what such a model takes of memory has a formula, and a test of its own.
+/// Builds and images what `text` describes, if it is a scene. Only a value that makes the model
+/// large is left to the other tests: what such a model takes of memory has a formula, and a test of
+/// its own.
 fn build(text: &str) -> (bool, bool) {
     if !probes::scene(text) {
         return (false, false);
     }
-    // The sections of the loop behind the telescope say nothing of a model, nor of a star without turbulence.
+    // The sections of the loop behind the telescope say nothing of a model, nor of a star without
+    // turbulence.
     if ["mirror.", "turbulence.", "wavefront_sensor.", "control."].iter().any(|section| text.contains(section)) {
         return (true, false);
     }

@@ -1,5 +1,5 @@
-//! Whatever chain fits, in whatever precision: the same estimate, over random scenes; and f32 stops where it resolves
-//! no descent.
+//! Whatever chain fits, in whatever precision: the same estimate, over random scenes; and f32 stops
+//! where it resolves no descent.
 
 use super::scene;
 use crate::common::chains;
@@ -49,12 +49,12 @@ fn every_chain_finds_the_estimate_of_the_double_precision_cpu() {
             let judged = judged.get_or_insert_with(|| found.coefficients_nm.clone());
             let worst = (&found.coefficients_nm - &*judged).iter().fold(0.0f64, |worst, nm| worst.max(nm.abs()));
             println!("{number} {name}: {worst:.1e} nm");
-            // 0.02 nm is the promise: a fifth of the error bar of a bright star's image. f32 knows a phase to 6e-8 of a
-            // turn or so, 1e-4 nm; what is left is where either stopped.
+            // 0.02 nm is the promise: a fifth of the error bar of a bright star's image. f32 knows
+            // a phase to 6e-8 of a turn or so, 1e-4 nm; what is left is where either stopped.
             assert!(worst < 0.02, "scene {number}, {name}: {worst} nm");
         }
     }
-    // In f32 the objective stops resolving descent before the tolerance is reached: fits that went on would spend the
-    // allowance of 200.
+    // In f32 the objective stops resolving descent before the tolerance is reached: fits that went
+    // on would spend the allowance of 200.
     assert!(most_evaluations < 60, "{most_evaluations}");
 }

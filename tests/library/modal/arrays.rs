@@ -34,8 +34,8 @@ fn fit(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
         .unwrap()
 }
 
-/// A telescope of one piece that no symmetry maps onto itself: a disc with a hole off its centre and one vane, half-grey at
-/// the rim. Coordinates run from −1 to 1 over the grid.
+/// A telescope of one piece that no symmetry maps onto itself: a disc with a hole off its centre
+/// and one vane, half-grey at the rim. Coordinates run from −1 to 1 over the grid.
 fn lopsided(samples: usize) -> Array2<f64> {
     map(samples, |x, y| {
         let rim = (x * x + y * y).sqrt();
@@ -92,7 +92,8 @@ fn a_caller_s_telescope_and_modes_are_read_back() {
     let found = fit(&estimator, &images_e);
     // An image without noise is no image of electrons, and is flagged.
     assert!(found.images[0].status == Status::Misfit && found.images[0].is_too_small());
-    // Without noise all that is left is where the fit stops: no coefficient would move by more than 1e-3 nm.
+    // Without noise all that is left is where the fit stops: no coefficient would move by more than
+    // 1e-3 nm.
     let errors: Vec<f64> =
         found.combined.modes.coefficients_nm.iter().zip(truth).map(|(nm, truth)| nm - truth).collect();
     println!("errors {errors:?} nm in {} evaluations", found.images[0].evaluations);
@@ -145,7 +146,8 @@ fn arrays_and_files_are_the_same_model() {
         modes: Some(modes),
         diversity_nm: Some(diversity_nm),
     };
-    // A planner cannot simulate what the scene does not describe: a budget is refused and not ignored.
+    // A planner cannot simulate what the scene does not describe: a budget is refused and not
+    // ignored.
     let budget = format!("{image}[estimate]\nbudget_nm = 1\n");
     let error = ModalFitter::from_arrays(&for_arrays(&budget), &arrays).err().unwrap();
     assert!(error.to_string().contains("budget_nm"), "{error}");
@@ -156,7 +158,8 @@ fn arrays_and_files_are_the_same_model() {
     assert_eq!(of_arrays.model().preparation, of_files.model().preparation);
     let coefficients_nm: Vec<f64> = (0..of_files.model().basis.len()).map(|i| 40.0 * (i as f64).sin()).collect();
     let psf = |estimator: &ModalFitter| estimator.reference_chain().psf(ArrayView1::from(&coefficients_nm));
-    // Coordinates in units of other widths differ by roundings, which the diversity's interpolation passes on.
+    // Coordinates in units of other widths differ by roundings, which the diversity's interpolation
+    // passes on.
     let (a, b) = (psf(&of_arrays), psf(&of_files));
     let peak = b.iter().copied().fold(0.0, f64::max);
     assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-11 * peak));
@@ -183,7 +186,8 @@ fn modes_of_the_scene_apply_without_mode_arrays() {
     // A mirror has a pitch in metres.
     let kl = "[pupil]\ngrid_m = 4.8\n[modes]\nncpa = 'kl'\nncpa_count = 5\nexact_zernikes = 'none'";
     assert_eq!(names(kl, &arrays).len(), 12);
-    // Modes of a caller's are not joined by those of segments that are not there, and by low Zernikes unless the scene says otherwise.
+    // Modes of a caller's are not joined by those of segments that are not there, and by low
+    // Zernikes unless the scene says otherwise.
     let own = own(48);
     assert_eq!(names("[modes]\nncpa = 'none'\nsegment = 'none'", &own).len(), 5);
     let joined = names("[modes]\nexact_zernikes = [2, 4]", &own);
@@ -193,7 +197,8 @@ fn modes_of_the_scene_apply_without_mode_arrays() {
     assert!(names("", &own).len() > joined.len());
 }
 
-/// A pupil of more samples than the model's, without a section [modes]: the same modes on the same grid, to the last bit.
+/// A pupil of more samples than the model's, without a section [modes]: the same modes on the same
+/// grid, to the last bit.
 #[test]
 fn fine_arrays_and_files_are_the_same_model_by_default() {
     let folder = tempfile::tempdir().unwrap();
@@ -279,7 +284,8 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
 
 #[test]
 fn a_scene_for_arrays_may_leave_out_what_the_arrays_say() {
-    // A telescope of eight metres is no Keck, and modes of nobody's would be nothing to estimate: not here.
+    // A telescope of eight metres is no Keck, and modes of nobody's would be nothing to estimate:
+    // not here.
     let text =
         "[pupil]\ngrid_m = 8\n[image]\nwavelength_nm = 1000\npixels = 96\n[modes]\nsegment = 'none'\nncpa = 'none'";
     let whole = Scene::from_text(text, Path::new("")).unwrap_err().to_string();

@@ -16,7 +16,8 @@ fn diversity_error_needs_a_focus_in_the_modes() {
     let own = with(&[HELD]);
     let (held, image) = (own.diversity_projection().unwrap(), &own.scene().image);
     let rms_nm = image.diversity_focus_waves_rms * image.wavelength_nm;
-    // Noll 4 is the diversity up to a constant, on the model's coarser grid: a part in a thousand of its RMS.
+    // Noll 4 is the diversity up to a constant, on the model's coarser grid: a part in a thousand
+    // of its RMS.
     assert!((held.rms_nm / rms_nm - 1.0).abs() < 0.01, "{held:?}");
     assert!(held.is_spanned() && held.residual_share < 1e-3 && !held.is_too_small(image.wavelength_nm), "{held:?}");
     let none = with(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none")]).diversity_projection().unwrap();

@@ -39,7 +39,8 @@ fn estimate(scene: &System, images_e: &Array3<f64>, bad: &Array3<bool>) -> (Moda
     estimate_scene(scene, cube, &mut open, &Control::default()).unwrap()
 }
 
-/// Peak signal-to-noise ratio at which the error of this coarse model, half the noise at 500, is explained.
+/// Peak signal-to-noise ratio at which the error of this coarse model, half the noise at 500, is
+/// explained.
 const EXPLAINED_SNR: (&str, &str) = ("image.peak_snr", "200");
 
 /// Residuals of phasing and NCPA, nm.
@@ -55,7 +56,8 @@ fn residuals(estimator: &ModalFitter, estimate: &ModalEstimate, made: &SourceIma
     })
 }
 
-/// What the error bars promise for both maps, nm (tip and tilt kept, so a little more than the residuals).
+/// What the error bars promise for both maps, nm (tip and tilt kept, so a little more than the
+/// residuals).
 fn promised(estimator: &ModalFitter, estimate: &ModalEstimate) -> [f64; 2] {
     let pupil = &estimator.model().telescope.pupil;
     let sigma_maps = &estimate.combined.sigma_maps;
@@ -72,8 +74,8 @@ fn one_image_gives_both_maps_within_their_error_bars() {
     assert_eq!(found.images[0].status, Status::Ok, "{:?}", found.images[0]);
     for (residual, promised) in residuals(&estimator, &found, &made).into_iter().zip(promised(&estimator, &found)) {
         println!("residual {residual:.3} nm, promised {promised:.3} nm");
-        // An RMS over some ten independent directions scatters by 1/√20 of itself: 22 %; three of these above, and
-        // far below would mean error bars that promise nothing.
+        // An RMS over some ten independent directions scatters by 1/√20 of itself: 22 %; three of
+        // these above, and far below would mean error bars that promise nothing.
         assert!(residual < 1.7 * promised && residual > 0.2 * promised);
     }
 }
@@ -169,7 +171,8 @@ fn a_mirrored_detector_is_undone_by_the_flip() {
     let bad = detector.mapv(|_| false);
     let (estimator, found) = estimate(&scene(&[("image.flip_x", "true")]), &detector, &bad);
     let mean = residuals(&estimator, &found, &made);
-    // As good as the unflipped image: well under a nanometre, where the wrong handedness gives tens.
+    // As good as the unflipped image: well under a nanometre, where the wrong handedness gives
+    // tens.
     assert!(mean.iter().all(|residual| *residual < 0.5), "{mean:?}");
     let (estimator, wrong) = estimate(&plain, &mirrored, &bad);
     assert!(residuals(&estimator, &wrong, &made).iter().any(|residual| *residual > 20.0));
@@ -208,16 +211,19 @@ fn segment_tip_and_tilt_are_found() {
     let bad = made.images_e.mapv(|_| false);
     let (estimator, found) = estimate(&scene, &made.images_e, &bad);
     assert_eq!(found.images[0].status, Status::Ok, "{:?}", found.images[0]);
-    // Segments that tip and tilt can imitate focus and astigmatism closely: the sum is what the image fixes.
+    // Segments that tip and tilt can imitate focus and astigmatism closely: the sum is what the
+    // image fixes.
     let pupil = &estimator.model().telescope.pupil;
     let total: Array2<f64> =
         &found.combined.maps.phasing_nm + &found.combined.maps.ncpa_nm - &made.truth.phasing_nm - &made.truth.ncpa_nm;
     let residual = pupil.rms(pupil.remove_piston_tip_tilt(total.view()).unwrap().view()).unwrap();
     println!("sum of both maps: {residual:.3} nm");
-    // 27 modes at the bound of this image (about 0.1 nm), and the difference of a map sampled at edges.
+    // 27 modes at the bound of this image (about 0.1 nm), and the difference of a map sampled at
+    // edges.
     assert!(residual < 1.0, "{residual}");
-    // The tip and tilt of all segments together are those of the NCPA, which span them: the phasing has none, and no warning is
-    // needed. What is left of a plane that the pistons were off by is rounding.
+    // The tip and tilt of all segments together are those of the NCPA, which span them: the phasing
+    // has none, and no warning is needed. What is left of a plane that the pistons were off by is
+    // rounding.
     let flat = pupil.remove_piston_tip_tilt(found.combined.maps.phasing_nm.view()).unwrap();
     let plane = pupil
         .rms((&found.combined.maps.phasing_nm - &flat).mapv(|nm| if nm.is_nan() { 0.0 } else { nm }).view())
@@ -274,8 +280,9 @@ fn a_telescope_from_fine_maps_is_read_back() {
     let (estimator, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
     let residuals = residuals(&estimator, &found, &made);
     println!("residuals {residuals:?}, chi2 {}", found.reduced_chi2());
-    // Truth and model both take the map for the truth, at 320 samples and band-limited at 64: what is left is noise (0.1
-    // nm) and the band limit, which at this coarse sampling may be a few times that.
+    // Truth and model both take the map for the truth, at 320 samples and band-limited at 64: what
+    // is left is noise (0.1 nm) and the band limit, which at this coarse sampling may be a few
+    // times that.
     assert!(residuals.iter().all(|residual| *residual < 0.5), "{residuals:?}");
 }
 
@@ -286,7 +293,8 @@ fn the_real_keck_pupil_is_read_back() {
         println!("skipped: the real Keck pupil is not beside the project (../shared/data)");
         return;
     };
-    // Secondary and spiders, no labels: one segment, whose piston nothing sees. 0.33 nm where edges are not band-limited.
+    // Secondary and spiders, no labels: one segment, whose piston nothing sees. 0.33 nm where edges
+    // are not band-limited.
     let scene = scene_of_file(folder, "keck_pupil_open_240px.fits", 11.25, "none")
         .with(&[
             ("pupil.samples", "120"),

@@ -11,7 +11,8 @@ use ndarray::Array3;
 const NO_NCPA: [(&str, &str); 3] =
     [("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("aberrations.ncpa_rms_nm", "0")];
 
-/// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars promise, nm.
+/// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars
+/// promise, nm.
 fn found(made: &Scene, scene: &Scene) -> (ModalFitter, [f64; 2], [f64; 2]) {
     let made = source::simulate(made).unwrap();
     let (estimator, found) = estimate(scene, &made.images_e, &made.images_e.mapv(|_| false));
@@ -49,7 +50,8 @@ fn plate_scale_and_rotation_are_found_with_error_bars() {
 fn a_filters_width_is_modelled_and_found() {
     let broad = |width: &str, more: &[(&str, &str)]| scene(&[&[("image.bandwidth_fraction", width)], more].concat());
     let made = broad("0.1", &[]);
-    // One wavelength is no model of it; as many as it needs are; a width that is a fifth too small is found.
+    // One wavelength is no model of it; as many as it needs are; a width that is a fifth too small
+    // is found.
     let (_, narrow_nm, _) = found(&made, &broad("0.1", &[("estimate.wavelengths", "1")]));
     let (known, known_nm, promised_nm) = found(&made, &made);
     assert!(known.model().optics.parts().colours.len() > 2 && known.fitted_optics().is_empty());
@@ -96,8 +98,8 @@ fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
     let at = |value: f64| read(&own.with(&[(&optic.key(), &value.to_string())]).unwrap()).1.combined.modes;
-    // The modes of two plate scales, which are taken for known, forty error bars either way: the samplings of models that are
-    // nearer to each other differ by as much (0.01 nm).
+    // The modes of two plate scales, which are taken for known, forty error bars either way: the
+    // samplings of models that are nearer to each other differ by as much (0.01 nm).
     let known = at(optic.value);
     let [below, above] = [-40.0, 40.0].map(|sigmas| at(optic.value + sigmas * optic.sigma).coefficients_nm);
     let more_nm2 = (&fitted.combined.modes.covariance_nm2 - &known.covariance_nm2).diag().to_vec();

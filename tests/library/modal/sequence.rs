@@ -25,8 +25,9 @@ struct Sequence {
     truth_nm: Vec<f64>,
 }
 
-/// Makes images with the reader's own optics and more modes (Noll 2 to 60), so that all that the reader does not
-/// understand is the wavefront: each image has 20 nm RMS of its own in Noll 4 to 13 and `beyond_nm` in Noll 22 to 60.
+/// Makes images with the reader's own optics and more modes (Noll 2 to 60), so that all that the
+/// reader does not understand is the wavefront: each image has 20 nm RMS of its own in Noll 4 to 13
+/// and `beyond_nm` in Noll 22 to 60.
 struct Maker {
     estimator: ModalFitter,
     rng: ChaCha12Rng,
@@ -117,10 +118,11 @@ fn error_bars_of_a_sequence_are_the_errors() {
     for (square, how) in squares.into_iter().zip(hows) {
         let rms = (square / f64::from(u32::try_from(pulls).unwrap())).sqrt();
         println!("{how:?}: pulls {rms:.3}");
-        // 76 pulls scatter by 1/√152 = 8 % if independent, by 12 % if half of them are; error bars from 24 images add 5 %
-        // of bias (Student's t), those of a median 10 %. To second order the turbulence does the same in every image,
-        // which no scatter shows: 4.1 nm RMS over the modes for 60 nm and 1.1 nm for 30 (measured over 8 × 96 images), so
-        // 1.8 nm for 40, against error bars of 3.6 nm: another 12 %. Together 1.17 ± 0.12.
+        // 76 pulls scatter by 1/√152 = 8 % if independent, by 12 % if half of them are; error bars
+        // from 24 images add 5 % of bias (Student's t), those of a median 10 %. To second order the
+        // turbulence does the same in every image, which no scatter shows: 4.1 nm RMS over the
+        // modes for 60 nm and 1.1 nm for 30 (measured over 8 × 96 images), so 1.8 nm for 40,
+        // against error bars of 3.6 nm: another 12 %. Together 1.17 ± 0.12.
         assert!((0.8..1.4).contains(&rms), "{how:?}: {rms}");
     }
 }
@@ -130,7 +132,8 @@ fn outlier_images_are_named_and_clipped() {
     let mut maker = Maker::new(7);
     let mut made = maker.sequence(12, 40.0);
     let clean = fit(ours(), &made.images_e).1;
-    // A frame of another wavefront altogether, and one that is off by a quarter wave in what the reader knows.
+    // A frame of another wavefront altogether, and one that is off by a quarter wave in what the
+    // reader knows.
     for (image, modes, nm) in [(3, BEYOND..BEYOND + 39, 150.0), (8, 9..KNOWN, 500.0)] {
         let other = maker.draw(modes, nm);
         let frame = maker.expose(&other);
@@ -155,8 +158,9 @@ fn outlier_images_are_named_and_clipped() {
     assert_eq!((mean.used_images.len(), mean.clipped_images.len()), (12, 0));
     let [clipped, mean, median] = [&found.combined, &mean, &median].map(|c| worst(&c.modes.coefficients_nm));
     println!("from the clean mean: clipped {clipped:.1} nm, mean {mean:.1} nm, median {median:.1} nm");
-    // Two of twelve draw the mean by a sixth of what they are off, some 100 nm; without them it differs by the scatter of
-    // 20 to 30 nm an image over √12, times √(2/10) for two images less; the median lies within its own error bar of 10.
+    // Two of twelve draw the mean by a sixth of what they are off, some 100 nm; without them it
+    // differs by the scatter of 20 to 30 nm an image over √12, times √(2/10) for two images less;
+    // the median lies within its own error bar of 10.
     assert!(clipped < 15.0 && median < 30.0 && mean > 2.0 * clipped.max(10.0), "{clipped} {median} {mean}");
 }
 
@@ -193,8 +197,8 @@ fn noise_only_sequence_has_error_bars_of_its_fisher_matrix() {
     let bound =
         estimator.bound(Array1::from(found.combined.modes.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
     for (sigma, bound) in found.combined.modes.sigma_nm().into_iter().zip(bound.diag()) {
-        // Never below the noise (2 %: the bound's weights are the model's), and above by what 12 draws scatter: 21 %, three
-        // times.
+        // Never below the noise (2 %: the bound's weights are the model's), and above by what 12
+        // draws scatter: 21 %, three times.
         let ratio = sigma / (bound / 12.0).sqrt();
         assert!((0.98..1.7).contains(&ratio), "{ratio}");
     }
@@ -214,8 +218,8 @@ fn paper_objective_reaches_its_minimum_in_fewer_evaluations() {
             let pairs = pairs.iter().zip(paper.image_coefficients_nm.row(image));
             let worst = pairs.fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
             println!("{what}: {} and {} evaluations, {worst:.1e} nm apart", theirs.evaluations, ours.evaluations);
-            // Ours stops where the next step is below 0.01 nm; the steps after it add up to a few times that, ten at the
-            // most. Another minimum would be tens of nm away.
+            // Ours stops where the next step is below 0.01 nm; the steps after it add up to a few
+            // times that, ten at the most. Another minimum would be tens of nm away.
             assert!(worst < 0.1, "{what}: {worst}");
             assert!(3 * ours.evaluations < theirs.evaluations, "{} {}", ours.evaluations, theirs.evaluations);
             assert!((ours.reduced_chi2 / theirs.reduced_chi2 - 1.0).abs() < 1e-3);
@@ -228,7 +232,8 @@ fn paper_objective_reaches_its_minimum_in_fewer_evaluations() {
     );
 }
 
-/// Images of the scene with `settings` that leaves the exact Zernikes open, estimated by the recipe of the pipeline.
+/// Images of the scene with `settings` that leaves the exact Zernikes open, estimated by the recipe
+/// of the pipeline.
 fn estimate_open(settings: &[(&str, &str)]) -> (ModalFitter, ModalEstimate, source::SourceImages) {
     let text = scene(settings).text().to_owned();
     let open = text.lines().filter(|line| !line.starts_with("exact_zernikes")).map(|line| format!("{line}\n"));
@@ -241,8 +246,8 @@ fn estimate_open(settings: &[(&str, &str)]) -> (ModalFitter, ModalEstimate, sour
 
 #[test]
 fn insignificant_modes_are_within_the_error_bars_of_40_images() {
-    // NCPA beyond the scene's own basis, which ends at Noll 13. χ² of one image would be 1.01 to 1.1 without them, and the mean of
-    // forty wrong by twenty error bars.
+    // NCPA beyond the scene's own basis, which ends at Noll 13. χ² of one image would be 1.01 to
+    // 1.1 without them, and the mean of forty wrong by twenty error bars.
     for last in ["21", "45"] {
         let zernikes = format!("[4, {last}]");
         let (fitter, found, made) = estimate_open(&[
@@ -255,7 +260,8 @@ fn insignificant_modes_are_within_the_error_bars_of_40_images() {
         let promised = super::promised(&fitter, &found);
         for (residual, promised) in super::residuals(&fitter, &found, &made).into_iter().zip(promised) {
             println!("to Noll {last}: residual {residual:.3} nm, promised {promised:.3} nm");
-            // An RMS over the seven pistons scatters by 1/√14 of itself, 27 %: three of these above.
+            // An RMS over the seven pistons scatters by 1/√14 of itself, 27 %: three of these
+            // above.
             assert!(residual < 1.8 * promised, "to Noll {last}: {residual} of {promised} nm");
         }
     }
@@ -263,8 +269,8 @@ fn insignificant_modes_are_within_the_error_bars_of_40_images() {
 
 #[test]
 fn error_bars_of_many_bright_images_include_model_errors() {
-    // The sampling of the pupil is an error that does not average out: a reduced χ² of 1.14 in one image at 250, which is no
-    // misfit, and of 1.56 at 500, which is one.
+    // The sampling of the pupil is an error that does not average out: a reduced χ² of 1.14 in one
+    // image at 250, which is no misfit, and of 1.56 at 500, which is one.
     for peak_snr in ["250", "500"] {
         let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr)]);
         let made = source::simulate(&scene).unwrap();
@@ -275,7 +281,8 @@ fn error_bars_of_many_bright_images_include_model_errors() {
         let promised = super::promised(&fitter, &found);
         for (residual, promised) in super::residuals(&fitter, &found, &made).into_iter().zip(promised) {
             println!("residual {residual:.3} nm, promised {promised:.3} nm");
-            // As for one image with this χ²: three times the scatter of the RMS of seven numbers above.
+            // As for one image with this χ²: three times the scatter of the RMS of seven numbers
+            // above.
             assert!(residual < 1.8 * promised, "{peak_snr}: {residual} of {promised} nm");
         }
         // Without it the variances would be half as large.
@@ -295,8 +302,9 @@ fn modes_that_are_not_there_add_little_to_the_error_bars() {
     let bars = super::promised(&fitter, &found).into_iter().zip(super::promised(&smaller, &without));
     for (with, without) in bars {
         println!("error bars {with:.3} nm, {without:.3} nm without the modes");
-        // 24 modes more, without a prior, would raise them by √(51/27) = 1.4; with a level of 0, whose posterior scatters about
-        // a fraction of the noise, they stay near those of the smaller basis.
+        // 24 modes more, without a prior, would raise them by √(51/27) = 1.4; with a level of 0,
+        // whose posterior scatters about a fraction of the noise, they stay near those of the
+        // smaller basis.
         assert!(with < 1.2 * without, "{with} {without}");
     }
 }

@@ -18,7 +18,8 @@ fn estimator(scene: &Scene) -> Arc<ModalFitter> {
     Arc::new(ModalFitter::new(scene, false).unwrap())
 }
 
-/// A session on the CPU chain, whose bits the tests compare; a GPU has its own, and fits all images of a call together.
+/// A session on the CPU chain, whose bits the tests compare; a GPU has its own, and fits all images
+/// of a call together.
 fn session(estimator: &Arc<ModalFitter>, options: SessionOptions) -> Session {
     Session::new(estimator.clone(), &SessionOptions { device: Some(Choice::Cpu), ..options }).unwrap()
 }
@@ -73,7 +74,8 @@ fn session_has_the_bits_of_the_estimator_at_any_thread_count() {
                 assert_eq!(bits(&result.coefficients_nm), bits(&expected), "image {i} of {count}, {threads} threads");
                 let (here, there) = (&result.report, &estimate.images[i]);
                 assert_eq!((here.status, here.evaluations), (there.status, there.evaluations));
-                // The PSF is that before the mean piston was taken out: the same but for its rounding.
+                // The PSF is that before the mean piston was taken out: the same but for its
+                // rounding.
                 assert!((here.reduced_chi2 / there.reduced_chi2 - 1.0).abs() < 1e-9);
             }
         }
@@ -155,7 +157,8 @@ fn start_near_the_truth_takes_fewer_evaluations() {
     let warm = &fitted(&session)[0];
     assert!(warm.report.evaluations < cold.report.evaluations);
     let moved = warm.coefficients_nm.iter().zip(&cold.coefficients_nm).map(|(a, b)| (a - b).abs());
-    // Each stops within its tolerance of 1e-3 nm of the minimum; where the directions are weak a few times that.
+    // Each stops within its tolerance of 1e-3 nm of the minimum; where the directions are weak a
+    // few times that.
     assert!(moved.fold(0.0, f64::max) < 1e-2);
 }
 

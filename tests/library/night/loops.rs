@@ -91,15 +91,16 @@ fn without_turbulence_noise_and_errors_the_residual_is_zero() {
 
 #[test]
 fn the_fitting_error_is_that_of_gaussian_influence_functions() {
-    // With slow wind and no noise the residual is the fitting error plus aliasing. The fitting error is 0.23 to 0.34
-    // (d/r0)^(5/3) rad² for mirrors from smooth to piston-only; aliasing adds about 0.07 (F. Rigaut, 1998). Here d =
-    // 0.5625 m, and r0 = 0.16 m at 500 nm.
+    // With slow wind and no noise the residual is the fitting error plus aliasing. The fitting
+    // error is 0.23 to 0.34 (d/r0)^(5/3) rad² for mirrors from smooth to piston-only; aliasing adds
+    // about 0.07 (F. Rigaut, 1998). Here d = 0.5625 m, and r0 = 0.16 m at 500 nm.
     let slow = one_layer("1.0");
     let mut settings = borrowed(&slow);
     settings.extend(NO_ERRORS_NO_NOISE);
     settings.push(("control.gain", "0.5"));
     let mut simulator = simulator(&settings);
-    // 0.95 s of one layer at 1 m/s: the small scales are renewed about twice across each of 250 subapertures.
+    // 0.95 s of one layer at 1 m/s: the small scales are renewed about twice across each of 250
+    // subapertures.
     let residual = residual_nm(&mut simulator, 100, 1000);
     let unit_nm = 500.0 / std::f64::consts::TAU * (0.5625f64 / 0.16).powf(5.0 / 6.0);
     let coefficient = (residual / unit_nm).powi(2);
@@ -118,14 +119,16 @@ fn the_lag_error_grows_with_wind_and_falls_with_rate() {
     };
     let fitting = excess("1.0", 0.0);
     let (ten, thirty) = (excess("10.0", fitting), excess("30.0", fitting));
-    // Each is a mean over 1.4 s of one realisation. The low modes with the largest lag error have correlation times of
-    // 0.1 s and more, so there are about ten independent samples of each: about 30 %.
+    // Each is a mean over 1.4 s of one realisation. The low modes with the largest lag error have
+    // correlation times of 0.1 s and more, so there are about ten independent samples of each:
+    // about 30 %.
     assert!((3.5..11.0).contains(&(thirty / ten)), "{fitting} {ten} {thirty}");
 }
 
 #[test]
 fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
-    // Without turbulence the commands are noise only. An integrator transmits g/(2 − g) of its variance.
+    // Without turbulence the commands are noise only. An integrator transmits g/(2 − g) of its
+    // variance.
     let noise = |magnitude: &str, gain: &str| {
         let mut settings = NO_TURBULENCE.to_vec();
         settings.push(("aberrations.segment_piston_rms_nm", "0.0"));
@@ -133,8 +136,8 @@ fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
         settings.push(("control.gain", gain));
         residual_nm(&mut simulator(&settings), 100, 300).powi(2)
     };
-    // Two magnitudes: 6.31 times fewer photons and 6.31 times the variance; the read noise of 0.4 e⁻ is negligible. 300
-    // frames of about 250 modes, correlated over 1/g frames: 2 %.
+    // Two magnitudes: 6.31 times fewer photons and 6.31 times the variance; the read noise of 0.4
+    // e⁻ is negligible. 300 frames of about 250 modes, correlated over 1/g frames: 2 %.
     let (bright, faint) = (noise("6.0", "0.3"), noise("8.0", "0.3"));
     assert!((faint / bright / 6.31 - 1.0).abs() < 0.1, "{bright} {faint}");
     let strong = noise("6.0", "0.6");
@@ -142,7 +145,8 @@ fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
     assert!((strong / bright / expected - 1.0).abs() < 0.1, "{bright} {strong}");
 }
 
-/// Ratio of residual to input for an oscillating wavefront with the shape of the mirror's best tilt.
+/// Ratio of residual to input for an oscillating wavefront with the shape of the mirror's best
+/// tilt.
 fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
     let (gain, rate) = (gain.to_string(), rate_hz.to_string());
     let settings =
@@ -175,9 +179,10 @@ fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
 #[test]
 #[ignore = "merge: 3 s"]
 fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
-    // The input is small enough for a linear loop. Its shape is one that the mirror can form, for which the
-    // reconstructor returns the commands exactly: of a pure tilt, Gaussians with 15 % coupling form 93 %. An integrator
-    // with one frame of lag rejects by |1 − z⁻¹|/|1 − (1 − g) z⁻¹|.
+    // The input is small enough for a linear loop. Its shape is one that the mirror can form, for
+    // which the reconstructor returns the commands exactly: of a pure tilt, Gaussians with 15 %
+    // coupling form 93 %. An integrator with one frame of lag rejects by |1 − z⁻¹|/|1 − (1 − g)
+    // z⁻¹|.
     let (gain, rate_hz) = (0.3f64, 1054.0);
     let controlled = |frequency_hz: f64| {
         let z = std::f64::consts::TAU * frequency_hz / rate_hz;
@@ -196,7 +201,8 @@ fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
 #[test]
 #[ignore = "merge: 2 s"]
 fn fractional_lag_error_is_between_those_of_whole_frames() {
-    // The same turbulence each time, without noise: at 20 m/s the error of a frame of lag is larger than what else remains.
+    // The same turbulence each time, without noise: at 20 m/s the error of a frame of lag is larger
+    // than what else remains.
     let fast = one_layer("20.0");
     let left_nm = |lag: &str| {
         let mut settings = borrowed(&fast);
@@ -270,8 +276,8 @@ fn the_interaction_matrix_has_the_symmetry_of_the_geometry() {
     let interaction = simulator.interaction();
     let (slopes, actuators) = interaction.dim();
     assert_eq!((slopes, actuators), (2 * 248, 296));
-    // The influence of an actuator is symmetric, so its slopes sum to 0, up to the contribution of partly illuminated
-    // subapertures.
+    // The influence of an actuator is symmetric, so its slopes sum to 0, up to the contribution of
+    // partly illuminated subapertures.
     let centre = simulator.influence().positions_m().iter().position(|&(x, y)| x.hypot(y - 2.25) < 0.3).unwrap();
     let column = interaction.column(centre);
     let largest = column.iter().fold(0.0f64, |m, v| m.max(v.abs()));

@@ -15,7 +15,8 @@ fn the_psf_contains_the_light_of_its_field() {
     let simulator = simulator(&[]);
     let psf = simulator.camera(unaberrated(&simulator)).unwrap().psf(&simulator.footprint().zeros());
     let sum: f64 = psf.iter().map(|&v| f64::from(v)).sum();
-    // 120 λ/D across: the edges of the segments diffract 0.3 to 1 % of the light beyond it, and the sum stays below 1.
+    // 120 λ/D across: the edges of the segments diffract 0.3 to 1 % of the light beyond it, and the
+    // sum stays below 1.
     assert!((0.985..1.0).contains(&sum), "{sum}");
     // The peak of the perfect PSF is on the axis, pixel [M/2, M/2].
     let (peak, _) = psf.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
@@ -35,7 +36,8 @@ fn fft_and_matrix_transform_give_the_same_image() {
         };
         simulator.camera(view).unwrap().psf(&residual)
     };
-    // 240 × (2 + 1e-9) is not a whole number of samples, so the camera uses a matrix in place of the FFT.
+    // 240 × (2 + 1e-9) is not a whole number of samples, so the camera uses a matrix in place of
+    // the FFT.
     let (fft, matrix) = (image(2.0), image(2.0 + 1e-9));
     let peak = fft.iter().copied().fold(0.0, f32::max);
     // Single precision: two sums of 240 terms.
@@ -71,8 +73,8 @@ fn wavefront_growing_along_x_moves_the_spot_along_columns() {
 
 #[test]
 fn loop_and_artificial_source_images_agree_without_turbulence() {
-    // Without turbulence and with a flat mirror the image equals that of `source`, which has code and a grid of its
-    // own.
+    // Without turbulence and with a flat mirror the image equals that of `source`, which has code
+    // and a grid of its own.
     let settings = [NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE, &[("aberrations.truth_samples", "960")]].concat();
     let simulator = simulator(&settings);
     let scene = simulator.scene();
@@ -129,8 +131,8 @@ fn broad_filter_image_is_the_mean_over_its_wavelengths() {
     let peak = mean.iter().copied().fold(0.0, f32::max);
     let worst = broad.iter().zip(&mean).map(|(a, b)| (a - b).abs() / peak).fold(0.0, f32::max);
     println!("broad against the mean of many: {worst:e} of the peak");
-    // Rounding in single precision is 1.2e-5; the error of the midpoint rule is 3e-5 at 60 wavelengths, a quarter of it
-    // at 120.
+    // Rounding in single precision is 1.2e-5; the error of the midpoint rule is 3e-5 at 60
+    // wavelengths, a quarter of it at 120.
     assert!(worst < 4e-5);
     let narrow = simulator.camera(view).unwrap().psf(&segments_nm);
     assert!(broad.iter().zip(&narrow).any(|(a, b)| (a - b).abs() > 0.05 * peak), "the filter must matter");
@@ -163,7 +165,8 @@ fn a_filter_curve_is_the_mean_over_its_photons() {
     let peak = mean.iter().copied().fold(0.0, f32::max);
     let worst = broad.iter().zip(&mean).map(|(a, b)| (a - b).abs() / peak).fold(0.0, f32::max);
     println!("curve against the mean of many: {worst:e} of the peak");
-    // As of a flat filter above; the faint end of the curve that is left out is within the first step.
+    // As of a flat filter above; the faint end of the curve that is left out is within the first
+    // step.
     assert!(worst < 4e-5);
 }
 

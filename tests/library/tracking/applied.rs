@@ -130,7 +130,8 @@ fn a_bad_estimate_shows_no_application() {
     let change = correction(&night.walk, [10.0; 2]);
     night.tracker.expect(1, change.view()).unwrap();
     for seed in 0..50 {
-        // Some hundred error bars in every mode: its part along the correction is as large as the correction, or larger, in most.
+        // Some hundred error bars in every mode: its part along the correction is as large as the
+        // correction, or larger, in most.
         let mut wild = Walk::correlated(SEGMENTS, NCPA, (100.0 * SIGMA_NM).powi(2), seed);
         let observed = wild.observe();
         night.images += 1;
@@ -154,7 +155,8 @@ fn the_newest_corrections_may_be_applied() {
         night.tracker.expect(place as i64 + 1, change.view()).unwrap();
     }
     assert_eq!(night.tracker.expected_corrections(), [3, 4, 5, 6]);
-    // Somebody applies one that was replaced. A tracker that was stored meanwhile goes on to the same bits.
+    // Somebody applies one that was replaced. A tracker that was stored meanwhile goes on to the
+    // same bits.
     let settings = night.tracker.settings().clone();
     night.tracker = Tracker::from_bytes(settings, &night.tracker.to_bytes()).unwrap();
     night.walk.truth_nm += &changes[3];
@@ -165,8 +167,9 @@ fn the_newest_corrections_may_be_applied() {
 
 #[test]
 fn unapplied_corrections_are_not_recognised() {
-    // 20 nights at ten false ones a night that are accepted, of two corrections, each as a whole and in parts: the bound is 200. Lorden's bound is not
-    // sharp; a few would show that the weights are no likelihood ratios where none are far beyond it.
+    // 20 nights at ten false ones a night that are accepted, of two corrections, each as a whole
+    // and in parts: the bound is 200. Lorden's bound is not sharp; a few would show that the
+    // weights are no likelihood ratios where none are far beyond it.
     let mut found = 0;
     let nights = 20;
     for seed in 0..nights {

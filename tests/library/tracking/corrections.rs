@@ -25,7 +25,8 @@ fn correct(policy: &CorrectionPolicy, estimate_nm: &Array1<f64>, covariance_nm2:
     correction(policy, &errors).unwrap()
 }
 
-/// Mean squares of errors before and after, of `draws` estimates with error bars of 3 nm of errors of `rms_nm`.
+/// Mean squares of errors before and after, of `draws` estimates with error bars of 3 nm of errors
+/// of `rms_nm`.
 fn before_and_after(policy: &CorrectionPolicy, rms_nm: f64, draws: usize) -> [f64; 2] {
     let (count, sigma_nm) = (SEGMENTS + 10, 3.0);
     let mut random = ChaCha8Rng::seed_from_u64(7);
@@ -49,14 +50,16 @@ fn before_and_after(policy: &CorrectionPolicy, rms_nm: f64, draws: usize) -> [f6
 #[test]
 fn corrections_do_no_harm() {
     for convention in [SegmentConvention::LeastSquares, SegmentConvention::EdgeMinimising] {
-        // Errors far below the error bars. A deadband of k error bars alone adds 2·(k·φ(k) + Φ(−k)) of the 9 nm²: all, 80 %, 26 % and 2.9 %. With the rule
-        // one per cent may remain, the part of draws of noise that are sent (correction.rs) times what they add to a few modes; of the
-        // largest deadband, beyond which the rule is applied to single modes, two thirds.
+        // Errors far below the error bars. A deadband of k error bars alone adds 2·(k·φ(k) + Φ(−k))
+        // of the 9 nm²: all, 80 %, 26 % and 2.9 %. With the rule one per cent may remain, the part
+        // of draws of noise that are sent (correction.rs) times what they add to a few modes; of
+        // the largest deadband, beyond which the rule is applied to single modes, two thirds.
         for (deadband_sigma, part) in [(0.0, 0.01), (1.0, 0.01), (2.0, 0.01), (3.0, 0.02)] {
             let policy = CorrectionPolicy { deadband_sigma, convention, ..Default::default() };
             let [before, after] = before_and_after(&policy, 0.3, 1000);
             assert!(after - before < part * 9.0, "{policy:?}: {before} {after}");
-            // Errors of three error bars: 9 nm² are left of 81, and 4·9 of those in a deadband of two.
+            // Errors of three error bars: 9 nm² are left of 81, and 4·9 of those in a deadband of
+            // two.
             let [before, after] = before_and_after(&policy, 9.0, 100);
             assert!(after < 0.45 * before, "{policy:?}: {before} {after}");
         }
@@ -96,7 +99,8 @@ fn deadband_limit_gain_and_reasons() {
 fn uncertain_mode_does_not_block_the_others() {
     let mut estimate_nm = Array1::from_elem(SEGMENTS + 10, 12.0);
     let mut covariance_nm2 = Array2::eye(SEGMENTS + 10) * 9.0;
-    // As a focus beside an error of the diversity; in one block its variance would exceed all that the others gain.
+    // As a focus beside an error of the diversity; in one block its variance would exceed all that
+    // the others gain.
     covariance_nm2[[SEGMENTS + 3, SEGMENTS + 3]] = 90_000.0;
     estimate_nm[SEGMENTS + 3] = 100.0;
     let sent = correct(&CorrectionPolicy::default(), &estimate_nm, &covariance_nm2);

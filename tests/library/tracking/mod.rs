@@ -13,8 +13,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use walk::{INTERVAL_S, Walk, settings};
 
-/// The variance of a random walk that gains `q` between observations of variance `r`, in the steady state after an observation: the positive
-/// root of the Riccati equation p² = q·(p + r) for the variance p before it, less q (Kalman 1960).
+/// The variance of a random walk that gains `q` between observations of variance `r`, in the steady
+/// state after an observation: the positive root of the Riccati equation p² = q·(p + r) for the
+/// variance p before it, less q (Kalman 1960).
 fn steady_variance(q: f64, r: f64) -> f64 {
     0.5 * (q + (q * q + 4.0 * q * r).sqrt()) - q
 }
@@ -50,8 +51,9 @@ fn the_steady_state_is_that_of_the_riccati_equation() {
     }
 }
 
-/// Standard deviation of the logarithm of a rate of `modes` modes that `steps` estimates determine: Whittle's information of a random walk with
-/// white noise, whose differences have the spectrum q + 2·r·(1 − cos ω). For q ≪ r it is √(q/r)/8 for ln q, an estimate and mode.
+/// Standard deviation of the logarithm of a rate of `modes` modes that `steps` estimates determine:
+/// Whittle's information of a random walk with white noise, whose differences have the spectrum q +
+/// 2·r·(1 − cos ω). For q ≪ r it is √(q/r)/8 for ln q, an estimate and mode.
 fn rate_error(rate: f64, r: f64, modes: usize, steps: usize) -> f64 {
     let q = rate * rate * INTERVAL_S / 3600.0;
     let information = (q / r).sqrt() / 8.0 * (modes * steps) as f64;
@@ -77,7 +79,8 @@ fn the_rates_are_learnt() {
     }
     let (segments, ncpa) = tracker.drift_nm_per_sqrt_hour();
     let [segments_error, ncpa_error] = [rate_error(rates[0], r, 35, steps), rate_error(rates[1], r, 20, steps)];
-    // Four standard deviations, and 2 % for each jump, of which the estimates before it was declared are a part.
+    // Four standard deviations, and 2 % for each jump, of which the estimates before it was
+    // declared are a part.
     assert!((segments / rates[0]).ln().abs() < 4.0 * segments_error + 0.06, "{segments} {segments_error}");
     assert!((ncpa / rates[1]).ln().abs() < 4.0 * ncpa_error, "{ncpa} {ncpa_error}");
 }
@@ -103,7 +106,8 @@ fn false_alarms_have_the_requested_rate() {
                 last.clear();
             }
         }
-        // 100 alarms: three standard deviations are 30 %; the formula is an asymptotic one, good to some 20 % here.
+        // 100 alarms: three standard deviations are 30 %; the formula is an asymptotic one, good to
+        // some 20 % here.
         let ratio = f64::from(alarms) / (rate * f64::from(steps));
         assert!((0.55..1.6).contains(&ratio), "{dimension}: {ratio}");
     }
@@ -122,7 +126,8 @@ fn night_without_jumps_has_the_requested_alarm_rate() {
         alarms += update.changes.len();
         outliers += usize::from(update.verdict != TrackerVerdict::Accepted);
     }
-    // A factor of two either way: 40 alarms scatter by 6, so that this is three standard deviations and the error of the formula.
+    // A factor of two either way: 40 alarms scatter by 6, so that this is three standard deviations
+    // and the error of the formula.
     assert!((20..=80).contains(&alarms), "{alarms} alarms, {outliers} outliers");
 }
 
@@ -138,7 +143,8 @@ fn jumps_are_named_with_size_and_time() {
         step += 1;
         (step as f64 * interval_s, tracker.update(walk.observation(step as f64 * interval_s, &seen_nm)).unwrap())
     };
-    // Estimates until it is named: a jump of 20 nm is 5.5 error bars of each of them, and the threshold is at 5.2.
+    // Estimates until it is named: a jump of 20 nm is 5.5 error bars of each of them, and the
+    // threshold is at 5.2.
     for (segment, jump_nm, most) in [(7, 20.0, 10), (30, -40.0, 2), (0, 80.0, 2)] {
         for _ in 0..100 {
             assert!(next(&mut walk, &mut tracker).1.changes.is_empty());

@@ -39,7 +39,8 @@ impl Walk {
         Self::new(segments, Array2::eye(segments + ncpa) * nm2.sqrt(), 0)
     }
 
-    /// Estimates with errors of the mean variance `nm2`, a quarter of which every mode has in common with others.
+    /// Estimates with errors of the mean variance `nm2`, a quarter of which every mode has in
+    /// common with others.
     pub fn correlated(segments: usize, ncpa: usize, nm2: f64, seed: u64) -> Self {
         let count = segments + ncpa;
         let mut random = ChaCha8Rng::seed_from_u64(1000 + seed);

@@ -1,5 +1,5 @@
-//! HTML pages in one file: text, tables, the mirror, maps and curves, with nothing from elsewhere. They follow the light or dark setting of
-//! the reader, and fit a phone.
+//! HTML pages in one file: text, tables, the mirror, maps and curves, with nothing from elsewhere.
+//! They follow the light or dark setting of the reader, and fit a phone.
 
 mod curve;
 mod escape;
@@ -12,7 +12,8 @@ pub use mirror::{SegmentValue, mirror};
 
 use escape::escape;
 
-/// A page of sections, which are HTML, with its origin at the end: the command that made it, and the version of the program.
+/// A page of sections, which are HTML, with its origin at the end: the command that made it, and
+/// the version of the program.
 pub fn page(title: &str, sections: &[String]) -> String {
     let title = escape(title);
     let command = command();
@@ -74,7 +75,8 @@ pub fn list(class: &str, sentences: &[String], none: &str) -> String {
     format!("<ul class=\"{class}\">{items}</ul>")
 }
 
-/// A table of text; `none` where it has no rows. Columns after the first `text` are numbers; of those before, the last may be long.
+/// A table of text; `none` where it has no rows. Columns after the first `text` are numbers; of
+/// those before, the last may be long.
 pub fn table(headers: &[&str], text: usize, rows: &[Vec<String>], none: &str) -> String {
     if rows.is_empty() {
         return format!("<p class=\"none\">{}</p>", escape(none));

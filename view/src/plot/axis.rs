@@ -134,7 +134,8 @@ impl Axis {
             .collect()
     }
 
-    /// 0 and the 1, 2, 5 of each decade, from the top down, as far apart as `count` evenly spaced ones.
+    /// 0 and the 1, 2, 5 of each decade, from the top down, as far apart as `count` evenly spaced
+    /// ones.
     fn asinh_ticks(&self, count: usize) -> Vec<Tick> {
         let largest = self.low.abs().max(self.high.abs());
         let top = largest.log10().floor() as i32;

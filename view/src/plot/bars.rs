@@ -19,7 +19,8 @@ pub enum ModeGroup {
 /// Mode coefficients, all lists of one length.
 #[derive(Debug, Clone, Default)]
 pub struct ModalBars {
-    /// Names; a common stem before their numbers ("piston 1", "piston 2") becomes the label of the axis.
+    /// Names; a common stem before their numbers ("piston 1", "piston 2") becomes the label of the
+    /// axis.
     pub names: Vec<String>,
     /// The panel of each mode.
     pub groups: Vec<ModeGroup>,
@@ -203,8 +204,9 @@ impl<'a> Group<'a> {
         }
     }
 
-    /// At the right of the panel's name, from the right and as far as there is room: the RMS of the residuals, then what
-    /// diamonds, bars and error bars are. (A panel too narrow for all has a wider neighbour that says it.)
+    /// At the right of the panel's name, from the right and as far as there is room: the RMS of the
+    /// residuals, then what diamonds, bars and error bars are. (A panel too narrow for all has a
+    /// wider neighbour that says it.)
     fn legend(&self, canvas: &mut Canvas, plot: Rect) {
         let y = plot.y - 13.0;
         let leftmost = plot.x + font::width(self.name, PANEL_EM) + 24.0;
@@ -240,8 +242,8 @@ fn diamond(canvas: &mut Canvas, (x, y): (f64, f64), r: f64) {
     canvas.polygon(&[(x, y - r), (x + r, y), (x, y + r), (x - r, y)], TRUTH);
 }
 
-/// What all names share before their numbers: "piston 1", "piston 12" give "piston "; nothing, where a name does not
-/// end in a number.
+/// What all names share before their numbers: "piston 1", "piston 12" give "piston "; nothing,
+/// where a name does not end in a number.
 fn common_prefix<'a>(names: &[&'a str]) -> &'a str {
     let stem = |name: &'a str| name.trim_end_matches(|c: char| c.is_ascii_digit());
     let Some(&first) = names.first() else { return "" };

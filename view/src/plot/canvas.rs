@@ -1,7 +1,8 @@
 //! A page that is drawn once and becomes PNG or SVG.
 //!
-//! The drawing code works in logical pixels (`f64`, y down). The backends draw at [`SCALE`] device units per logical
-//! pixel: a PNG is averaged down afterwards (so every edge is smooth), an SVG keeps them in its `viewBox`.
+//! The drawing code works in logical pixels (`f64`, y down). The backends draw at [`SCALE`] device
+//! units per logical pixel: a PNG is averaged down afterwards (so every edge is smooth), an SVG
+//! keeps them in its `viewBox`.
 
 use super::colour::Rgb;
 use super::encode::{base64, png};
@@ -12,8 +13,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{Color, FontDesc, FontFamily, FontStyle, FontTransform, RGBAColor, ShapeStyle, TextStyle};
 use std::fmt::Write as _;
 
-/// Device units per logical pixel. 2 halves the steps of a slanted line and of the glyphs' integer advances; 3 costs
-/// twice the memory and shows no difference.
+/// Device units per logical pixel. 2 halves the steps of a slanted line and of the glyphs' integer
+/// advances; 3 costs twice the memory and shows no difference.
 pub(super) const SCALE: usize = 2;
 
 /// A rectangle in logical pixels, y down.
@@ -39,7 +40,8 @@ impl Rect {
     }
 }
 
-/// How a line is drawn: colour, width in logical pixels, and the lengths of dash and gap (none: solid).
+/// How a line is drawn: colour, width in logical pixels, and the lengths of dash and gap (none:
+/// solid).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pen {
     pub colour: Rgb,
@@ -186,7 +188,8 @@ impl Canvas<'_> {
             let done = self.surface.polyline(&points, colour, width);
             return self.note(done);
         }
-        // The bitmap rasteriser mitres sharp corners into spikes: draw the pieces, and round the joints.
+        // The bitmap rasteriser mitres sharp corners into spikes: draw the pieces, and round the
+        // joints.
         for pair in points.windows(2) {
             let done = self.surface.segment(pair[0], pair[1], colour, width);
             self.note(done);
@@ -241,7 +244,8 @@ impl Canvas<'_> {
         let (x, y) = if upwards { (device(x), device(y + before)) } else { (device(x - before), device(y)) };
         font::rasterise(text, ink.em * SCALE as f64, |u, v, coverage| {
             let at = if upwards { (x + v, y - 1 - u) } else { (x + u, y + v) };
-            // A light face loses weight when it is averaged down: its edges count a little more than they cover.
+            // A light face loses weight when it is averaged down: its edges count a little more
+            // than they cover.
             let done = self.surface.pixel(at, rgba(ink.colour, coverage.clamp(0.0, 1.0).powf(0.7)));
             self.note(done);
         });

@@ -15,7 +15,8 @@ pub(super) const WHITE: Rgb = Rgb(255, 255, 255);
 /// Where there is no value: outside the pupil, a masked pixel.
 pub(super) const NOTHING: Rgb = Rgb(0xd9, 0xdb, 0xde);
 
-/// Colours of the series, in order: Okabe and Ito's set, which colour-blind readers distinguish (Nature Methods 8, 441).
+/// Colours of the series, in order: Okabe and Ito's set, which colour-blind readers distinguish
+/// (Nature Methods 8, 441).
 pub(super) const SERIES: [Rgb; 7] = [
     Rgb(0x00, 0x72, 0xb2),
     Rgb(0xd5, 0x5e, 0x00),
@@ -72,8 +73,8 @@ const LIGHT: [Rgb; 10] = [
 /// Beyond this part of the values a colour scale ends: one wild pixel must not grey out the rest.
 const KEPT: f64 = 0.998;
 
-/// An asinh stretch is linear below this part of the range and logarithmic above: a defocused star's rings span
-/// about two decades.
+/// An asinh stretch is linear below this part of the range and logarithmic above: a defocused
+/// star's rings span about two decades.
 const KNEE: f64 = 0.02;
 
 /// A scale from a value to a colour.
@@ -102,8 +103,8 @@ impl Shade {
         Self { stops: &SEQUENTIAL, clipped: beyond(maps, &axis), axis }
     }
 
-    /// For images: asinh from the darkest of `maps` to the brightest, or a little above the brightest of `model`, lest a
-    /// cosmic ray dim the star.
+    /// For images: asinh from the darkest of `maps` to the brightest, or a little above the
+    /// brightest of `model`, lest a cosmic ray dim the star.
     pub fn stretched(maps: &[ArrayView2<f64>], model: ArrayView2<f64>) -> Self {
         let (low, brightest) = bounds(maps);
         let signal = bounds(&[model]).1 - low;
@@ -147,7 +148,8 @@ fn values<'a>(maps: &'a [ArrayView2<'a, f64>]) -> impl Iterator<Item = f64> + 'a
     maps.iter().flat_map(|map| map.iter().copied().filter_map(usable))
 }
 
-/// Lowest and highest value with [`KEPT`] of the values between 1 − KEPT and KEPT; (0, 0) where there is none.
+/// Lowest and highest value with [`KEPT`] of the values between 1 − KEPT and KEPT; (0, 0) where
+/// there is none.
 fn bounds(maps: &[ArrayView2<f64>]) -> (f64, f64) {
     let mut all: Vec<f64> = values(maps).collect();
     let low = quantile(&mut all, 1.0 - KEPT);

@@ -52,8 +52,8 @@ pub struct SeriesStyle {
     pub colour: Option<usize>,
 }
 
-/// One series: `x`, `y` and, where given, `y_err` (1σ) of one length. Points that are not finite, or not positive on a
-/// logarithmic axis, are left out, and the line is broken there.
+/// One series: `x`, `y` and, where given, `y_err` (1σ) of one length. Points that are not finite,
+/// or not positive on a logarithmic axis, are left out, and the line is broken there.
 #[derive(Debug, Clone, Default)]
 pub struct Series {
     /// The entry in the legend; empty for none.
@@ -100,8 +100,8 @@ impl CurvePicture {
     /// Draws the picture into `path`, a `.png` or an `.svg`, whole or not at all.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a series whose lists differ in length, [`Error::File`] for another extension or a file that
-    /// cannot be written.
+    /// [`Error::Shape`] for a series whose lists differ in length, [`Error::File`] for another
+    /// extension or a file that cannot be written.
     pub fn draw(&self, path: impl AsRef<Path>) -> Result<()> {
         self.series.iter().try_for_each(Series::check)?;
         let lines: Vec<Line> = self.series.iter().enumerate().map(|(i, series)| self.line(i, series)).collect();
@@ -145,7 +145,8 @@ impl CurvePicture {
         let points = || lines.iter().flat_map(|line| line.points.iter().flatten());
         let marked_x = self.vertical_lines.iter().map(|(x, _)| *x);
         let marked_y = self.horizontal_lines.iter().map(|(y, _)| *y);
-        // An error bar that reaches zero on a logarithmic axis is cut at the axis, not followed to −∞.
+        // An error bar that reaches zero on a logarithmic axis is cut at the axis, not followed to
+        // −∞.
         let y = points().flat_map(|&(_, y, e)| [y, y + e, if self.y_log && y - e <= y / 10.0 { y } else { y - e }]);
         let x = Axis::around(points().map(|&(x, ..)| x).chain(marked_x), self.x_log);
         // Numbers of images, of modes, of iterations.

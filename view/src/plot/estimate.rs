@@ -10,16 +10,16 @@ use cophase::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use std::path::Path;
 
-/// The maps of one part of the wavefront (phasing, or NCPA). `[row = y, col = x]`, nm of optical path difference, NaN
-/// outside the pupil; all of the shape of `estimate`.
+/// The maps of one part of the wavefront (phasing, or NCPA). `[row = y, col = x]`, nm of optical
+/// path difference, NaN outside the pupil; all of the shape of `estimate`.
 #[derive(Debug, Clone)]
 pub struct MapTriple {
     /// What was estimated, nm.
     pub estimate: Array2<f64>,
     /// What was there, nm, where that is known.
     pub truth: Option<Array2<f64>>,
-    /// Estimate minus truth as the caller compares them (e.g. tip and tilt removed), nm; their plain difference where
-    /// it is not given.
+    /// Estimate minus truth as the caller compares them (e.g. tip and tilt removed), nm; their
+    /// plain difference where it is not given.
     pub residual: Option<Array2<f64>>,
     /// 1σ of the estimate, nm.
     pub sigma: Option<Array2<f64>>,
@@ -29,8 +29,9 @@ pub struct MapTriple {
     pub rms: MapRms,
 }
 
-/// RMS of the maps of a [`MapTriple`], nm, as the caller defines them (over the pupil's weight, tip and tilt removed, as in
-/// the report); `None` is the RMS over the finite samples, about their mean.
+/// RMS of the maps of a [`MapTriple`], nm, as the caller defines them (over the pupil's weight, tip
+/// and tilt removed, as in the report); `None` is the RMS over the finite samples, about their
+/// mean.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct MapRms {
     /// Of the estimate.
@@ -43,7 +44,8 @@ pub struct MapRms {
     pub sigma_nm: Option<f64>,
 }
 
-/// An image, the model's, and their difference in units of its noise; pixels that were not used are NaN.
+/// An image, the model's, and their difference in units of its noise; pixels that were not used are
+/// NaN.
 #[derive(Debug, Clone)]
 pub struct ImageTriple {
     /// Name of its channel; empty for the only one.
@@ -56,9 +58,9 @@ pub struct ImageTriple {
     pub residual_in_sigma: Array2<f64>,
 }
 
-/// One figure of an estimate: a row of maps for the phasing and one for the NCPA (estimate, truth, residual; or
-/// estimate and 1σ side by side in one row where there is no truth), the coefficients with their error bars, and the
-/// images, each beside its model and the residual.
+/// One figure of an estimate: a row of maps for the phasing and one for the NCPA (estimate, truth,
+/// residual; or estimate and 1σ side by side in one row where there is no truth), the coefficients
+/// with their error bars, and the images, each beside its model and the residual.
 #[derive(Debug, Clone)]
 pub struct EstimatePicture {
     /// One line.
@@ -82,8 +84,8 @@ impl EstimatePicture {
     /// Draws the picture into `path`, a `.png` or an `.svg`, whole or not at all.
     ///
     /// # Errors
-    /// [`Error::Shape`] for lists or maps of unequal shape, [`Error::Value`] for an impossible width, [`Error::File`]
-    /// for another extension or a file that cannot be written.
+    /// [`Error::Shape`] for lists or maps of unequal shape, [`Error::Value`] for an impossible
+    /// width, [`Error::File`] for another extension or a file that cannot be written.
     pub fn draw(&self, path: impl AsRef<Path>) -> Result<()> {
         self.phasing.check("phasing")?;
         self.ncpa.check("NCPA")?;
@@ -207,7 +209,8 @@ impl ModalBars {
 }
 
 impl ImageTriple {
-    /// The residual's scale reaches at least this many σ: pure noise should look like noise, and less like nothing.
+    /// The residual's scale reaches at least this many σ: pure noise should look like noise, and
+    /// less like nothing.
     const LEAST_SIGMA: f64 = 3.0;
 
     fn panels(&self) -> Vec<MapPanel<'_>> {

@@ -1,4 +1,5 @@
-//! The one typeface of the pictures (Ubuntu Light, embedded: no system font is needed) and its measures.
+//! The one typeface of the pictures (Ubuntu Light, embedded: no system font is needed) and its
+//! measures.
 
 use super::colour::Rgb;
 use ab_glyph::{Font, FontRef, Glyph, GlyphId, PxScale, ScaleFont, point};
@@ -8,8 +9,8 @@ use std::sync::LazyLock;
 /// What an SVG asks for: its viewer takes the first family that it has.
 pub(super) const FAMILY: &str = "Ubuntu, Helvetica, Arial, sans-serif";
 
-/// An SVG's text is set this much smaller, because the families that stand in for Ubuntu Light run wider than it, by
-/// which the layout is measured (Arial by 5 %, DejaVu Sans by 13 %).
+/// An SVG's text is set this much smaller, because the families that stand in for Ubuntu Light run
+/// wider than it, by which the layout is measured (Arial by 5 %, DejaVu Sans by 13 %).
 pub(super) const SVG_EM: f64 = 0.92;
 /// plotters' SVG text divides the size by this.
 pub(super) const SVG_SIZE_PER_EM: f64 = 1.24;
@@ -84,7 +85,8 @@ pub(super) fn runs(text: &str) -> Vec<(&str, f64, f64)> {
     runs
 }
 
-/// The typeface; `None` only if the embedded bytes were damaged, in which case the pictures have no text.
+/// The typeface; `None` only if the embedded bytes were damaged, in which case the pictures have no
+/// text.
 static FACE: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| FontRef::try_from_slice(UBUNTU_LIGHT).ok());
 
 /// Width of `text` at `em`, logical pixels.
@@ -92,7 +94,8 @@ pub(super) fn width(text: &str, em: f64) -> f64 {
     runs(text).iter().map(|(run, size, _)| set(run, size * em, |_, _| ())).sum()
 }
 
-/// Places the glyphs of `run` along a baseline that starts at 0: `place(glyph, x)`. Returns the width.
+/// Places the glyphs of `run` along a baseline that starts at 0: `place(glyph, x)`. Returns the
+/// width.
 fn set(run: &str, em: f64, mut place: impl FnMut(GlyphId, f64)) -> f64 {
     let Some(face) = FACE.as_ref() else { return 0.0 };
     let scaled = face.as_scaled(scale(face, em));
@@ -112,9 +115,11 @@ fn scale(face: &FontRef, em: f64) -> PxScale {
     PxScale::from(em as f32 * line_per_em)
 }
 
-/// Rasterises `text` at `em` pixels, its baseline from (0, 0) along +x: `paint(x, y, coverage)`, y down.
+/// Rasterises `text` at `em` pixels, its baseline from (0, 0) along +x: `paint(x, y, coverage)`, y
+/// down.
 ///
-/// plotters' own text leaves out each glyph's left bearing and rounds its advance, which shows as uneven spacing.
+/// plotters' own text leaves out each glyph's left bearing and rounds its advance, which shows as
+/// uneven spacing.
 pub(super) fn rasterise(text: &str, em: f64, mut paint: impl FnMut(i32, i32, f64)) {
     let Some(face) = FACE.as_ref() else { return };
     let mut start = 0.0;

@@ -30,7 +30,8 @@ pub(super) fn heading_height(lines: usize) -> f64 {
     MARGIN + TITLE_EM + 8.0 + lines as f64 * SUBTITLE_EM * 1.4 + 18.0
 }
 
-/// Draws the title and the subtitle at the top of a page `page_w` wide, from `x`, where its plots begin.
+/// Draws the title and the subtitle at the top of a page `page_w` wide, from `x`, where its plots
+/// begin.
 pub(super) fn heading(canvas: &mut Canvas, x: f64, page_w: f64, title: &str, subtitle: &[String]) {
     let room = page_w - MARGIN - x;
     let mut y = MARGIN + 0.8 * TITLE_EM;
@@ -42,7 +43,8 @@ pub(super) fn heading(canvas: &mut Canvas, x: f64, page_w: f64, title: &str, sub
     }
 }
 
-/// The name of a panel above `plot`, and a figure at the right of the same line; the name gives way.
+/// The name of a panel above `plot`, and a figure at the right of the same line; the name gives
+/// way.
 pub(super) fn panel_title(canvas: &mut Canvas, plot: Rect, name: &str, figure: &str) {
     let y = plot.y - 13.0;
     let figure = font::fitted(figure, FIGURE_EM, plot.w);

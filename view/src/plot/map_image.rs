@@ -29,7 +29,8 @@ pub struct MapImage {
     pub high: f64,
 }
 
-/// The picture of `map`, `[row = y, col = x]` with row 0 at the bottom, each sample a square of pixels.
+/// The picture of `map`, `[row = y, col = x]` with row 0 at the bottom, each sample a square of
+/// pixels.
 ///
 /// # Errors
 /// Those of encoding a PNG.

@@ -62,8 +62,8 @@ impl MapsPicture {
     /// Draws the picture into `path`, a `.png` or an `.svg`, whole or not at all.
     ///
     /// # Errors
-    /// [`Error::Value`] for a number of columns out of range, an impossible width or too many maps for one page,
-    /// [`Error::File`] for another extension or a file that cannot be written.
+    /// [`Error::Value`] for a number of columns out of range, an impossible width or too many maps
+    /// for one page, [`Error::File`] for another extension or a file that cannot be written.
     pub fn draw(&self, path: impl AsRef<Path>) -> Result<()> {
         if !(1..=MOST_COLUMNS).contains(&self.columns) {
             let given = self.columns;

@@ -1,12 +1,14 @@
 //! Pictures from results, as PNG or SVG (the file's extension says which), from plain data only.
 //!
-//! * [`EstimatePicture`]: the maps, coefficients and image of an estimate, beside the truth where that is known.
+//! * [`EstimatePicture`]: the maps, coefficients and image of an estimate, beside the truth where
+//!   that is known.
 //! * [`CurvePicture`]: series with error bars on linear or logarithmic axes.
 //! * [`MapsPicture`]: a grid of captioned maps.
 //! * [`NumberingPicture`]: a pupil with the numbers of its segments.
 //!
-//! Maps are `[row = y, col = x]` with row 0 at the bottom, so that the telescope's y axis points up. Values that are not
-//! finite are drawn as nothing, and never stop a picture. A file appears whole or not at all.
+//! Maps are `[row = y, col = x]` with row 0 at the bottom, so that the telescope's y axis points
+//! up. Values that are not finite are drawn as nothing, and never stop a picture. A file appears
+//! whole or not at all.
 
 mod axis;
 mod bars;

@@ -21,7 +21,8 @@ pub struct Lattice {
     pub pitch_m: f64,
 }
 
-/// Which segment has which number, and where. Maps are `[row = y, col = x]`, row 0 at the bottom, as those of an estimate.
+/// Which segment has which number, and where. Maps are `[row = y, col = x]`, row 0 at the bottom,
+/// as those of an estimate.
 #[derive(Debug, Clone)]
 pub struct NumberingPicture {
     /// One line.
@@ -65,8 +66,8 @@ impl NumberingPicture {
     /// Draws the picture into `path`, a `.png` or an `.svg`, whole or not at all.
     ///
     /// # Errors
-    /// [`Error::Shape`] for maps that are not square or differ in shape, [`Error::Value`] for an impossible width,
-    /// [`Error::File`] for another extension or a file that cannot be written.
+    /// [`Error::Shape`] for maps that are not square or differ in shape, [`Error::Value`] for an
+    /// impossible width, [`Error::File`] for another extension or a file that cannot be written.
     pub fn draw(&self, path: impl AsRef<Path>) -> Result<()> {
         let (rows, columns) = self.owner.dim();
         if rows == 0 || rows != columns || self.amplitude.dim() != (rows, columns) {
@@ -114,8 +115,8 @@ impl NumberingPicture {
         lattices.map(reach).filter_map(usable).fold(self.width_m / 2.0, f64::max)
     }
 
-    /// Colour of pixel (i, j) of the plot, rows from the top: the amplitude in grey, and a line where the segment is another
-    /// than in the pixel above or on the left.
+    /// Colour of pixel (i, j) of the plot, rows from the top: the amplitude in grey, and a line
+    /// where the segment is another than in the pixel above or on the left.
     fn colour(&self, frame: &Frame, i: usize, j: usize) -> Rgb {
         let Some(sample) = self.sample(frame, i, j) else { return DARK };
         let here = self.owner[sample];

@@ -9,7 +9,8 @@ use std::path::Path;
 /// Draws a page of `size` logical pixels with `paint` and writes it to `path`, whole or not at all.
 ///
 /// # Errors
-/// [`Error::File`] for an extension that is neither `png` nor `svg`, or a file that cannot be written.
+/// [`Error::File`] for an extension that is neither `png` nor `svg`, or a file that cannot be
+/// written.
 pub(super) fn draw(path: &Path, size: (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<()> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let bytes = match extension.as_str() {
@@ -51,8 +52,8 @@ fn to_svg((w, h): (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<Vec<u8>
         backend.present().map_err(|e| Error::Internal(format!("a picture could not be closed ({e})")))?;
         images
     };
-    // The backend's own first line declares device units as the page size: ours keeps the viewBox, sets the page to
-    // logical pixels, and lays white and the rasters under the rest.
+    // The backend's own first line declares device units as the page size: ours keeps the viewBox,
+    // sets the page to logical pixels, and lays white and the rasters under the rest.
     let body = drawn.split_once('\n').map_or("", |(_, body)| body);
     Ok(format!(
         "<svg width=\"{w}\" height=\"{h}\" viewBox=\"0 0 {wide} {high}\" xmlns=\"http://www.w3.org/2000/svg\" \

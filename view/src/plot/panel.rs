@@ -77,7 +77,8 @@ impl MapPanel<'_> {
         self.colour_bar(canvas, plot);
     }
 
-    /// The largest rectangle of the map's aspect in the cell, at its centre, and the coordinates of its edges.
+    /// The largest rectangle of the map's aspect in the cell, at its centre, and the coordinates of
+    /// its edges.
     fn frame(&self, cell: Rect) -> Frame {
         let (rows, cols) = self.values.dim();
         let (rows, cols) = (rows.max(1) as f64, cols.max(1) as f64);

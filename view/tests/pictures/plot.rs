@@ -15,7 +15,8 @@ fn folder() -> PathBuf {
     folder
 }
 
-/// A number in −1..1 from `i`, the same at every run: SplitMix64's finaliser (Steele, Lea and Flood, OOPSLA 2014).
+/// A number in −1..1 from `i`, the same at every run: SplitMix64's finaliser (Steele, Lea and
+/// Flood, OOPSLA 2014).
 fn noise(i: usize) -> f64 {
     let mut z = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -212,7 +213,8 @@ fn curves_have_a_legend_and_named_lines() {
 
 #[test]
 fn the_name_of_a_line_makes_way_for_the_legend() {
-    // Many points along the bottom and the right edge: the legend is at the top left, above the first of two lines, whose name counts least.
+    // Many points along the bottom and the right edge: the legend is at the top left, above the
+    // first of two lines, whose name counts least.
     let bottom = (0..=1000).map(|x| (f64::from(x) / 10.0, -1.0));
     let right = (0..=1000).map(|y| (95.0, f64::from(y) / 500.0 - 1.0));
     let (x, y): (Vec<f64>, Vec<f64>) = bottom.chain(right).unzip();
@@ -238,15 +240,18 @@ fn lone_map(values: Array2<f64>, scale: MapScale) -> MapsPicture {
     MapsPicture { title: "Colours".into(), columns: 1, maps: vec![map] }
 }
 
-/// The edges of the largest axis-parallel box of the axes' colour: left, top, right, bottom of a lone map.
+/// The edges of the largest axis-parallel box of the axes' colour: left, top, right, bottom of a
+/// lone map.
 fn outline(picture: &image::RgbImage) -> (u32, u32, u32, u32) {
-    // A line 1.5 pixels wide leaves at least one row of full colour or two of more than a half: darker than any grey.
+    // A line 1.5 pixels wide leaves at least one row of full colour or two of more than a half:
+    // darker than any grey.
     let dark = |x: u32, y: u32| picture.get_pixel(x, y).0.iter().all(|&c| c < 0xb0);
     let (w, h) = picture.dimensions();
     let long = |n: usize, of: u32| n as f64 > 0.6 * f64::from(of);
     let columns: Vec<u32> = (0..w).filter(|&x| long((0..h).filter(|&y| dark(x, y)).count(), h)).collect();
     let rows: Vec<u32> = (0..h).filter(|&y| long((0..w).filter(|&x| dark(x, y)).count(), w)).collect();
-    // The colour bar's edges stand at the right of the map's, as high: the map is as wide as it is high.
+    // The colour bar's edges stand at the right of the map's, as high: the map is as wide as it is
+    // high.
     let (left, top, bottom) = (columns[0], rows[0], *rows.last().unwrap());
     (left, top, left + bottom - top, bottom)
 }
@@ -283,8 +288,8 @@ fn estimate_and_truth_share_one_scale() {
     let picture = read(&path);
     // Any point of the three maps of the first row will do.
     let colours = [300, 885, 1470].map(|x| picture.get_pixel(x, 330).0);
-    // 40/100 of the way from white to the end is the second of the palette's five classes; the residual, 60 nm
-    // everywhere, has its own scale.
+    // 40/100 of the way from white to the end is the second of the palette's five classes; the
+    // residual, 60 nm everywhere, has its own scale.
     assert_eq!(colours, [[0x67, 0x00, 0x1f], [0xf4, 0xa5, 0x82], [0x67, 0x00, 0x1f]]);
 }
 

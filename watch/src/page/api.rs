@@ -141,12 +141,14 @@ impl Api {
         }))
     }
 
-    /// Map of the NCPA of the newest frame, tracked where they are tracked, without tip and tilt, which are pointing.
+    /// Map of the NCPA of the newest frame, tracked where they are tracked, without tip and tilt,
+    /// which are pointing.
     pub fn ncpa(&self) -> Result<Value> {
         let Some(frame) = self.newest()? else { return Ok(json!({ "frame": null, "nm": [] })) };
         let coefficients_nm = if frame.tracked_nm.is_empty() { &frame.coefficients_nm } else { &frame.tracked_nm };
         let model = self.fitter.model();
-        // The coefficients hold no plane of the whole pupil; of modes that are not orthogonal to it a slope is left.
+        // The coefficients hold no plane of the whole pupil; of modes that are not orthogonal to it
+        // a slope is left.
         let map_nm = model.telescope.pupil.remove_piston_tip_tilt(model.map_nm(coefficients_nm, Group::Ncpa).view())?;
         Ok(json!({ "frame": frame.id, "nm": rows(map_nm.view(), MAP_SIDE) }))
     }
@@ -176,7 +178,8 @@ impl Api {
     }
 }
 
-/// Rows of a map from below, with at most `side` samples along each axis: means of blocks, null where nothing is known.
+/// Rows of a map from below, with at most `side` samples along each axis: means of blocks, null
+/// where nothing is known.
 fn rows(map: ArrayView2<f64>, side: usize) -> Vec<Vec<Option<f64>>> {
     let block = map.nrows().max(map.ncols()).div_ceil(side).max(1);
     let mut sums = Array2::<(f64, u32)>::default((map.nrows().div_ceil(block), map.ncols().div_ceil(block)));

@@ -1,7 +1,8 @@
 //! Connections of the page: how many there may be, and which one ends where another wants in.
 //!
-//! A client may open connections and read nothing, or send no token. It must not keep the owner of the page out: where all places are taken,
-//! a new connection replaces one without a token, else one whose client does not read.
+//! A client may open connections and read nothing, or send no token. It must not keep the owner of
+//! the page out: where all places are taken, a new connection replaces one without a token, else
+//! one whose client does not read.
 
 use std::collections::HashMap;
 use std::io;
@@ -20,7 +21,8 @@ use tokio::time::{Sleep, sleep};
 const CONNECTIONS: usize = 64;
 /// Largest number of connections of one address: several pages behind one router, and never all.
 const CONNECTIONS_OF_A_PEER: usize = CONNECTIONS / 2;
-/// Time in which a client must read something of an answer. An answer is some 100 KiB: a line of 10 KiB/s takes it.
+/// Time in which a client must read something of an answer. An answer is some 100 KiB: a line of 10
+/// KiB/s takes it.
 const WRITE_TIME: Duration = Duration::from_secs(10);
 
 /// A connection, as its requests see it.
@@ -66,9 +68,11 @@ impl Drop for Place {
 }
 
 impl Connections {
-    /// A place for a connection of `peer`; another one ends for it where there is none. `None` where all others have a token and read.
+    /// A place for a connection of `peer`; another one ends for it where there is none. `None`
+    /// where all others have a token and read.
     ///
-    /// A machine's own address stands for all its users, and for all that `ssh` brings here: it has no limit of its own.
+    /// A machine's own address stands for all its users, and for all that `ssh` brings here: it has
+    /// no limit of its own.
     pub fn take(connections: &Arc<Self>, peer: IpAddr) -> Option<Place> {
         let mut table = connections.table.lock().unwrap_or_else(PoisonError::into_inner);
         let of_peer = table.1.values().filter(|other| other.peer == peer).count();
@@ -94,7 +98,8 @@ impl Connections {
     }
 }
 
-/// The connection that is replaced first: the oldest that the guard has not let pass, then the oldest whose client does not read.
+/// The connection that is replaced first: the oldest that the guard has not let pass, then the
+/// oldest whose client does not read.
 fn replaceable<'a>(connections: impl Iterator<Item = (&'a u64, &'a Arc<Connection>)>) -> Option<u64> {
     let order =
         |connection: &Connection| match (connection.is_admitted.load(Relaxed), connection.is_stalled.load(Relaxed)) {

@@ -1,7 +1,8 @@
 //! Guard of the page: what a request must be before anything is answered.
 //!
-//! A browser of this machine that shows another site can send requests here. It is refused by the host that it names (DNS rebinding
-//! gives a name of the other site to this address), by its `Origin`, and by `Sec-Fetch-Site`.
+//! A browser of this machine that shows another site can send requests here. It is refused by the
+//! host that it names (DNS rebinding gives a name of the other site to this address), by its
+//! `Origin`, and by `Sec-Fetch-Site`.
 
 use super::connections::Connection;
 use axum::extract::{Request, State};
@@ -25,7 +26,8 @@ pub struct Guard {
     pub token: Option<String>,
 }
 
-/// Answers a request that is refused, gives others to `next`, and adds the headers of security to both.
+/// Answers a request that is refused, gives others to `next`, and adds the headers of security to
+/// both.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let mut response = match guard.decide(&request) {
         Decision::Pass => {
@@ -97,7 +99,8 @@ impl Guard {
         self.check_token(request)
     }
 
-    /// A token in the address of the page becomes a cookie, so that it is in no history of addresses for long.
+    /// A token in the address of the page becomes a cookie, so that it is in no history of
+    /// addresses for long.
     fn check_token(&self, request: &Request) -> Decision {
         let Some(token) = &self.token else { return Decision::Pass };
         let headers = request.headers();
@@ -118,7 +121,8 @@ impl Guard {
         refuse(StatusCode::UNAUTHORIZED, "a token is needed: open /?token=TOKEN, or send Authorization: Bearer TOKEN")
     }
 
-    /// Whether `host` is a name of this page. Addresses are no names that another site could point here.
+    /// Whether `host` is a name of this page. Addresses are no names that another site could point
+    /// here.
     fn is_own(&self, host: &str) -> bool {
         let (name, port) =
             match host.rsplit_once(':').filter(|(_, port)| port.bytes().all(|byte| byte.is_ascii_digit())) {
@@ -151,7 +155,8 @@ fn is_same(one: &str, other: &str) -> bool {
     one.len() == other.len() && std::hint::black_box(difference) == 0
 }
 
-/// Whether a token is fit for an address and a header: letters, digits, `-`, `_`, at least 16 of them.
+/// Whether a token is fit for an address and a header: letters, digits, `-`, `_`, at least 16 of
+/// them.
 pub fn is_token(text: &str) -> bool {
     (16..=256).contains(&text.len())
         && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_')

@@ -121,7 +121,8 @@ fn number(uri: &Uri, key: &str, usual: i64, most: i64) -> Result<i64> {
     parsed.ok_or_else(|| Error::Value(format!("{key} is not a number from 0 to {most}")))
 }
 
-/// Server-sent events: the version of what is shown, now and after every change. A page that is slow gets the newest alone.
+/// Server-sent events: the version of what is shown, now and after every change. A page that is
+/// slow gets the newest alone.
 fn changes(version: Receiver<u64>) -> Sse<impl Stream<Item = std::result::Result<Event, Infallible>>> {
     let stream = stream::unfold((version, true), |(mut version, is_first)| async move {
         if !is_first {

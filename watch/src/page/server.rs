@@ -50,7 +50,8 @@ impl Page {
     /// Starts the page of the store in the file `state`.
     ///
     /// # Errors
-    /// [`Error::Value`] where the address is in use or not of this machine; those of opening the store.
+    /// [`Error::Value`] where the address is in use or not of this machine; those of opening the
+    /// store.
     pub fn start(settings: PageSettings, state: &Path, live: &Live, fitter: Arc<ModalFitter>) -> Result<Self> {
         let asked = settings.address;
         let failed = |error: std::io::Error| {

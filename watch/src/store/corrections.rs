@@ -81,7 +81,8 @@ pub(super) fn insert(connection: &Connection, correction: &Correction, frame: i6
     Ok(())
 }
 
-/// Notes that a frame, observed at `observed_s`, shows a correction to be applied; one part after the other is the whole.
+/// Notes that a frame, observed at `observed_s`, shows a correction to be applied; one part after
+/// the other is the whole.
 pub(super) fn apply(connection: &Connection, applied: &Applied, frame: i64, observed_s: f64) -> rusqlite::Result<()> {
     let query = "UPDATE corrections SET applied_frame = ?2, applied_s = ?3, applied_fraction = ?5, applied_fraction_error = ?6, \
                  applied_part = CASE WHEN applied_part IS NULL THEN ?4 ELSE ?7 END WHERE id = ?1";

@@ -1,4 +1,5 @@
-//! Lock of a store: one watcher at a time. The kernel holds it for the process, so that a killed one leaves none.
+//! Lock of a store: one watcher at a time. The kernel holds it for the process, so that a killed
+//! one leaves none.
 
 use cophase::{Error, Result};
 use std::ffi::OsString;
@@ -7,7 +8,8 @@ use std::io::{Read, Seek, Write};
 use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 
-/// Held until it is dropped. It is on a file of its own beside the store: SQLite has locks of its own on the store itself.
+/// Held until it is dropped. It is on a file of its own beside the store: SQLite has locks of its
+/// own on the store itself.
 pub struct Lock {
     _file: File,
 }

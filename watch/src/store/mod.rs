@@ -1,7 +1,8 @@
 //! Store of a night watch: one SQLite file with every frame, the tracker's state, and the events.
 //!
-//! A frame's result and the tracker's state that it led to are one transaction, in a write-ahead log that is synchronised with the disk:
-//! after a kill or a power cut either both are there or neither.
+//! A frame's result and the tracker's state that it led to are one transaction, in a write-ahead
+//! log that is synchronised with the disk: after a kill or a power cut either both are there or
+//! neither.
 
 mod corrections;
 mod failure;
@@ -50,11 +51,12 @@ pub struct Entry<'a> {
 }
 
 impl Store {
-    /// Opens the store in the file `path`, or makes one there, for the model that `about` describes.
+    /// Opens the store in the file `path`, or makes one there, for the model that `about`
+    /// describes.
     ///
     /// # Errors
-    /// [`Error::File`] where another watcher has it; for a file that is no store, or one of another version, or of another model; where
-    /// it cannot be written.
+    /// [`Error::File`] where another watcher has it; for a file that is no store, or one of another
+    /// version, or of another model; where it cannot be written.
     pub fn open(path: &Path, about: About) -> Result<Self> {
         let lock = Lock::take(path)?;
         let failed = failed(path);
@@ -154,8 +156,8 @@ impl Store {
         corrections::state(&self.connection, number).map_err(failed(&self.path))
     }
 
-    /// Adds, in one transaction, a frame with all that it led to. Gives the frame's number; a frame that is there already is not added again, and
-    /// nothing changes.
+    /// Adds, in one transaction, a frame with all that it led to. Gives the frame's number; a frame
+    /// that is there already is not added again, and nothing changes.
     ///
     /// # Errors
     /// [`Error::File`] where the disk does not take it: then nothing is there.
@@ -193,7 +195,8 @@ impl Store {
         Ok(self.connection.last_insert_rowid())
     }
 
-    /// Adds the name of a file whose content is in the store. Where `former` is the name that it had, its frames get the new one.
+    /// Adds the name of a file whose content is in the store. Where `former` is the name that it
+    /// had, its frames get the new one.
     pub fn add_file(&mut self, file: &FileRecord, former: Option<&Path>) -> Result<()> {
         let failed = failed(&self.path);
         let transaction = self.connection.transaction().map_err(&failed)?;

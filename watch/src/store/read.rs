@@ -99,7 +99,8 @@ impl Reader {
         self.frames(&query, after, limit)
     }
 
-    /// The last `limit` frames, the oldest first; only those with a result, or only those that were refused, where `status` says so.
+    /// The last `limit` frames, the oldest first; only those with a result, or only those that were
+    /// refused, where `status` says so.
     pub fn last_frames(&self, status: Option<&str>, limit: usize, columns: Columns) -> Result<Vec<StoredFrame>> {
         let condition = match status {
             Some("done") => "WHERE status = 'done' AND id > ?1",

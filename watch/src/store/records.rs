@@ -131,7 +131,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame without a fit that was refused for `reason`; the name, with which sentences on files begin, is not repeated.
+    /// A frame without a fit that was refused for `reason`; the name, with which sentences on files
+    /// begin, is not repeated.
     pub fn refused(content: Content, image: usize, name: String, observed_s: f64, reason: String) -> Self {
         let without_name = reason.strip_prefix(&name).and_then(|rest| rest.strip_prefix(": "));
         let reason = without_name.map_or(reason.clone(), str::to_owned);
@@ -162,7 +163,8 @@ impl Frame {
 /// Something that happened.
 #[derive(Debug, Clone, Serialize)]
 pub struct Event {
-    /// s since 1970: when the frame that showed it was observed; of an event of no frame, when it was noticed.
+    /// s since 1970: when the frame that showed it was observed; of an event of no frame, when it
+    /// was noticed.
     pub time_s: f64,
     /// `segment`, `wavefront`, `pointing`, `correction`, `source` or `disk`.
     pub kind: &'static str,

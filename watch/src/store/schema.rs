@@ -10,10 +10,12 @@ const APPLICATION: i64 = 0x436f_5761;
 /// Version of the tables below.
 const VERSION: i64 = 2;
 
-/// Times are seconds since 1970 (UTC), vectors are doubles in little-endian order; a number that is not known is NULL.
-/// Coefficients are those of the wavefront, without tip and tilt of the whole pupil: these are the pointing, in pixels of the frame from its axis.
+/// Times are seconds since 1970 (UTC), vectors are doubles in little-endian order; a number that is
+/// not known is NULL. Coefficients are those of the wavefront, without tip and tilt of the whole
+/// pupil: these are the pointing, in pixels of the frame from its axis.
 ///
-/// A correction holds what it changes of the coefficients, the tracked state and its error bars when it was written, and what was seen of it.
+/// A correction holds what it changes of the coefficients, the tracked state and its error bars
+/// when it was written, and what was seen of it.
 const TABLES: &str = "
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE frames (
@@ -86,7 +88,8 @@ CREATE TABLE corrections (
 pub(super) fn prepare(path: &Path, connection: &mut Connection) -> Result<()> {
     let failed = failed(path);
     let is_new = is_empty(path, connection)?;
-    // The log takes a frame with one write and one synchronisation; FULL makes that survive a power cut.
+    // The log takes a frame with one write and one synchronisation; FULL makes that survive a power
+    // cut.
     connection.pragma_update(None, "journal_mode", "WAL").map_err(&failed)?;
     connection.pragma_update(None, "synchronous", "FULL").map_err(&failed)?;
     if is_new {

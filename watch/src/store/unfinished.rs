@@ -1,5 +1,6 @@
-//! Store of a watch that was killed: its last frames are in the write-ahead log beside it, of which a copy of the store alone lacks them. While a watch
-//! writes, the store itself holds the name of its log.
+//! Store of a watch that was killed: its last frames are in the write-ahead log beside it, of which
+//! a copy of the store alone lacks them. While a watch writes, the store itself holds the name of
+//! its log.
 
 use rusqlite::{Connection, OptionalExtension};
 use std::ffi::OsString;
@@ -25,7 +26,8 @@ pub(super) fn has_log(path: &Path) -> bool {
 pub(super) fn begin(path: &Path, connection: &Connection) -> rusqlite::Result<()> {
     let log = log_of(path).file_name().unwrap_or_default().to_string_lossy().into_owned();
     connection.execute("INSERT OR REPLACE INTO about VALUES (?1, ?2)", [KEY, &log])?;
-    // Into the store itself, not into the log that it names. Readers that hold it up do no harm: then the log has frames, too.
+    // Into the store itself, not into the log that it names. Readers that hold it up do no harm:
+    // then the log has frames, too.
     connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))
 }
 
@@ -34,7 +36,8 @@ pub(super) fn end(connection: &Connection) -> rusqlite::Result<()> {
     connection.execute("DELETE FROM about WHERE key = ?1", [KEY]).map(drop)
 }
 
-/// That frames may be missing, as a sentence, where the watch did not end and its log was not there.
+/// That frames may be missing, as a sentence, where the watch did not end and its log was not
+/// there.
 pub(super) fn sentence(connection: &Connection, has_log: bool) -> rusqlite::Result<Option<String>> {
     let name: Option<String> =
         connection.query_row("SELECT value FROM about WHERE key = ?1", [KEY], |row| row.get(0)).optional()?;

@@ -1,5 +1,5 @@
-//! Layout of a stream of ImageStreamIO in its shared memory file (`ImageStruct.h`, version 2.00): metadata, pixels, keywords, semaphores,
-//! traces, circular buffer, each rounded up to 8 bytes.
+//! Layout of a stream of ImageStreamIO in its shared memory file (`ImageStruct.h`, version 2.00):
+//! metadata, pixels, keywords, semaphores, traces, circular buffer, each rounded up to 8 bytes.
 
 use cophase::{Error, Result};
 use std::mem::{offset_of, size_of};
@@ -170,8 +170,8 @@ impl Header {
     /// The metadata in `bytes`, the beginning of a file of `file_bytes`.
     ///
     /// # Errors
-    /// [`Error::Image`] for another version of the structure, pixels that are no real numbers in the memory of this machine, and a file
-    /// whose size is not the one of its contents.
+    /// [`Error::Image`] for another version of the structure, pixels that are no real numbers in
+    /// the memory of this machine, and a file whose size is not the one of its contents.
     pub fn parse(bytes: &[u8; METADATA], file_bytes: u64) -> Result<Self> {
         if !bytes.starts_with(VERSION) {
             let version = String::from_utf8_lossy(&bytes[..8]);

@@ -1,7 +1,8 @@
 //! Source of frames: a stream of ImageStreamIO, the shared memory of milk and cacao.
 //!
-//! A thread reads frames as they are written, so that none is overwritten while another is estimated; a circular buffer of the stream
-//! bridges longer pauses. Frames that were overwritten unread are counted and reported.
+//! A thread reads frames as they are written, so that none is overwritten while another is
+//! estimated; a circular buffer of the stream bridges longer pauses. Frames that were overwritten
+//! unread are counted and reported.
 
 mod layout;
 mod reader;
@@ -21,7 +22,8 @@ use std::time::{Duration, Instant};
 
 /// Frames that wait for their estimate: at 100 a second, two thirds of one.
 const WAITING: usize = 64;
-/// Between two looks. A semaphore with a time limit would hang where the clock is set back meanwhile, because its limit is a time of day.
+/// Between two looks. A semaphore with a time limit would hang where the clock is set back
+/// meanwhile, because its limit is a time of day.
 const LOOK: Duration = Duration::from_micros(500);
 /// Between two looks at the file, which is another one after the stream was made anew.
 const LOOK_AT_FILE: Duration = Duration::from_millis(100);

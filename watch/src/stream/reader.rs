@@ -1,6 +1,7 @@
 //! Reader of a stream: the frames that are there and were not read, each as a whole.
 //!
-//! Metadata and pixels are read by `pread`, which gives an error where a map would kill the process: a file that is cut short.
+//! Metadata and pixels are read by `pread`, which gives an error where a map would kill the
+//! process: a file that is cut short.
 
 use super::layout::{Header, METADATA};
 use super::semaphore::Semaphore;
@@ -39,7 +40,8 @@ pub struct RawFrame {
     pub lost: u64,
 }
 
-/// File of the stream `name`: in the folder `MILK_SHM_DIR`, else `/milk/shm`, else `/tmp`, as upstream looks for it.
+/// File of the stream `name`: in the folder `MILK_SHM_DIR`, else `/milk/shm`, else `/tmp`, as
+/// upstream looks for it.
 pub fn path_of(name: &str) -> PathBuf {
     let named = std::env::var_os("MILK_SHM_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
     let usual = || Some(PathBuf::from("/milk/shm")).filter(|folder| folder.is_dir());
@@ -62,7 +64,8 @@ impl StreamReader {
         Ok(Self { file, inode, semaphore, next: None, phase: None, header })
     }
 
-    /// Whether the file at `path` is still the one that is open: upstream makes a new one for another size.
+    /// Whether the file at `path` is still the one that is open: upstream makes a new one for
+    /// another size.
     pub fn is_current(&self, path: &Path) -> bool {
         std::fs::metadata(path).is_ok_and(|found| found.ino() == self.inode && found.len() == self.header.file_bytes)
     }
@@ -95,7 +98,8 @@ impl StreamReader {
             let oldest = before.count.saturating_sub(kept - 1).max(1);
             let wanted = self.next.unwrap_or(oldest);
             let count = wanted.max(oldest);
-            // A writer changes the slot first and the counter then; between the two they do not belong together.
+            // A writer changes the slot first and the counter then; between the two they do not
+            // belong together.
             if self.phase.is_some() && before.phase() != self.phase {
                 std::thread::yield_now();
                 continue;

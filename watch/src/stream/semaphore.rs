@@ -18,11 +18,13 @@ pub struct Semaphore {
     readers_at: usize,
 }
 
-// SAFETY: the map belongs to this value alone, and what is in it is shared by processes: atomics and semaphores.
+// SAFETY: the map belongs to this value alone, and what is in it is shared by processes: atomics
+// and semaphores.
 unsafe impl Send for Semaphore {}
 
 impl Semaphore {
-    /// A free semaphore of the stream in `file`; `None` where there is none, or the file is not writable.
+    /// A free semaphore of the stream in `file`; `None` where there is none, or the file is not
+    /// writable.
     pub fn take(file: &File, header: &Header) -> Option<Self> {
         let bytes = usize::try_from(header.file_bytes).ok()?;
         let access = libc::PROT_READ | libc::PROT_WRITE;
@@ -40,8 +42,8 @@ impl Semaphore {
         taken.index = (0..header.semaphores).find(|&index| {
             let reader = taken.reader(index);
             let known = reader.load(Ordering::SeqCst);
-            // As upstream: 0 and -1 mark a free semaphore, and a process that has ended has no process group.
-            // SAFETY: a plain system call.
+            // As upstream: 0 and -1 mark a free semaphore, and a process that has ended has no
+            // process group. SAFETY: a plain system call.
             let is_free = known <= 0 || unsafe { libc::getpgid(known) } < 0;
             is_free && reader.compare_exchange(known, own, Ordering::SeqCst, Ordering::SeqCst).is_ok()
         })?;
@@ -55,8 +57,8 @@ impl Semaphore {
         while self.is_whole() && unsafe { libc::sem_trywait(self.semaphore()) } == 0 {}
     }
 
-    /// Whether the file still reaches to the end of the map. Upstream never cuts a file short; one that does it between this look and the
-    /// touch that follows ends the process.
+    /// Whether the file still reaches to the end of the map. Upstream never cuts a file short; one
+    /// that does it between this look and the touch that follows ends the process.
     fn is_whole(&self) -> bool {
         self.file.metadata().is_ok_and(|found| found.len() >= self.bytes as u64)
     }

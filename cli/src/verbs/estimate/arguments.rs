@@ -51,13 +51,16 @@ where a key does not apply.";
 #[derive(clap::Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct Arguments {
-    /// FITS file with one image or a cube of them, FILE or FILE[HDU], or with those of several channels; - for standard input
+    /// FITS file with one image or a cube of them, FILE or FILE[HDU], or with those of several
+    /// channels; - for standard input
     #[arg(required_unless_present = "channel", conflicts_with = "channel")]
     pub(super) images: Option<PathBuf>,
-    /// FITS file with the images of one channel of the scene ([[image.channel]]); once for each channel
+    /// FITS file with the images of one channel of the scene ([[image.channel]]); once for each
+    /// channel
     #[arg(long, value_name = "NAME=FILE", value_parser = channel, hide_short_help = true)]
     pub(super) channel: Vec<(String, PathBuf)>,
-    /// FITS file to write: maps, modes, error bars; one that is there is replaced; .fits.gz is compressed
+    /// FITS file to write: maps, modes, error bars; one that is there is replaced; .fits.gz is
+    /// compressed
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: PathBuf,
     /// Scene: a TOML file, or the name of a preset [default: the scene in the image file]
@@ -66,7 +69,8 @@ pub struct Arguments {
     /// FITS file that marks bad pixels: not zero = bad
     #[arg(long, value_name = "FILE")]
     pub(super) mask: Option<PathBuf>,
-    /// Electrons per count of images in counts (image.gain_e_per_adu) [default: the scene's, else the card EGAIN or GAIN]
+    /// Electrons per count of images in counts (image.gain_e_per_adu) [default: the scene's, else
+    /// the card EGAIN or GAIN]
     #[arg(long, value_name = "E_PER_ADU")]
     pub(super) gain: Option<f64>,
     /// What holds where the file contradicts the scene [default: neither, it is an error]
@@ -75,56 +79,67 @@ pub struct Arguments {
     /// Also draw the result
     #[arg(long, value_name = "FILE.png|svg")]
     pub(super) plot: Option<PathBuf>,
-    /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them; all: modal fits shared among all GPUs, or among all
-    /// OpenCL devices where there is no GPU
+    /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them; all: modal
+    /// fits shared among all GPUs, or among all OpenCL devices where there is no GPU
     #[arg(long, value_parser = device)]
     pub(super) device: Option<String>,
     /// Precision of the imaging model [default: f64, or f32 with full-phase]
     #[arg(long, value_parser = ["f64", "f32"], hide_short_help = true)]
     pub(super) precision: Option<String>,
-    /// Ours (gauss-newton), the method of Lamb et al. (2021) as a whole (bfgs), or its objective with our optimiser (paper)
+    /// Ours (gauss-newton), the method of Lamb et al. (2021) as a whole (bfgs), or its objective
+    /// with our optimiser (paper)
     #[arg(long, value_parser = ["gauss-newton", "bfgs", "paper"], hide_short_help = true)]
     pub(super) optimizer: Option<String>,
-    /// RMS error that is allowed, nm, noise included: plans the cheapest model that keeps it (see cophase plan)
+    /// RMS error that is allowed, nm, noise included: plans the cheapest model that keeps it (see
+    /// cophase plan)
     #[arg(long, value_name = "NM", hide_short_help = true)]
     pub(super) budget_nm: Option<f64>,
-    /// The estimator: static modes, fitted image by image (modal), or the whole wavefront behind each image of a sequence
-    /// behind adaptive optics (full-phase); auto: full-phase where the scene has turbulence or a loop and the images change
+    /// The estimator: static modes, fitted image by image (modal), or the whole wavefront behind
+    /// each image of a sequence behind adaptive optics (full-phase); auto: full-phase where the
+    /// scene has turbulence or a loop and the images change
     #[arg(long, value_parser = ["modal", "full-phase", "auto"])]
     pub(super) method: Option<String>,
-    /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its telemetry [default: the most there is]
+    /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its
+    /// telemetry [default: the most there is]
     #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"], hide_short_help = true)]
     pub(super) ao_knowledge: Option<String>,
-    /// Slopes that come with the images, with full-phase: refused where they do not belong to the images (check), divided by
-    /// the gain that is found and used (use), or left out (ignore) [default: check]
+    /// Slopes that come with the images, with full-phase: refused where they do not belong to the
+    /// images (check), divided by the gain that is found and used (use), or left out (ignore)
+    /// [default: check]
     #[arg(long, value_parser = ["check", "use", "ignore"], hide_short_help = true)]
     pub(super) telemetry: Option<String>,
-    /// FITS file with the slopes of the wavefront sensor, [image, slope], in place of those in the file of the images: FILE or FILE[HDU],
-    /// of one channel NAME=FILE
+    /// FITS file with the slopes of the wavefront sensor, [image, slope], in place of those in the
+    /// file of the images: FILE or FILE[HDU], of one channel NAME=FILE
     #[arg(long, value_name = "FILE", value_parser = file_of_channel, hide_short_help = true)]
     pub(super) slopes: Vec<(Option<String>, PathBuf)>,
-    /// Also write corrections: what to add to segments, mirror and (full-phase) reference slopes; FITS, or text for FILE.txt
+    /// Also write corrections: what to add to segments, mirror and (full-phase) reference slopes;
+    /// FITS, or text for FILE.txt
     #[arg(long, value_name = "FILE")]
     pub(super) commands: Option<PathBuf>,
-    /// Also draw the corrections: what would move, in the terms of the controllers ([commands] of the scene)
+    /// Also draw the corrections: what would move, in the terms of the controllers ([commands] of
+    /// the scene)
     #[arg(long, value_name = "FILE.png|svg", hide_short_help = true)]
     pub(super) commands_plot: Option<PathBuf>,
-    /// Also write phasing and NCPA together as an OPD map, m, as POPPY and STPSF read it (BUNIT, PUPLSCAL)
+    /// Also write phasing and NCPA together as an OPD map, m, as POPPY and STPSF read it (BUNIT,
+    /// PUPLSCAL)
     #[arg(long, value_name = "FILE", hide_short_help = true)]
     pub(super) opd: Option<PathBuf>,
-    /// Also write a report for people: one HTML file with maps, images, segments, modes, warnings and settings
+    /// Also write a report for people: one HTML file with maps, images, segments, modes, warnings
+    /// and settings
     #[arg(long, value_name = "FILE.html")]
     pub(super) report: Option<PathBuf>,
     #[command(flatten)]
     pub(super) settings: Settings,
-    /// Fit the images of part I of N only, and write the part to -o: 'cophase merge' makes the estimate of all parts, with the other
-    /// outputs of this command. rank: the part of this process under mpirun or srun, whose first process merges
+    /// Fit the images of part I of N only, and write the part to -o: 'cophase merge' makes the
+    /// estimate of all parts, with the other outputs of this command. rank: the part of this
+    /// process under mpirun or srun, whose first process merges
     #[arg(long, value_name = "I/N|rank", hide_short_help = true)]
     pub(super) part: Option<Share>,
     /// Print the result as JSON
     #[arg(long)]
     pub(super) json: bool,
-    /// Exit with status 3 where the estimate carries a warning, or a status other than ok; the output is written all the same
+    /// Exit with status 3 where the estimate carries a warning, or a status other than ok; the
+    /// output is written all the same
     #[arg(long)]
     pub(super) strict: bool,
     /// Also say which combinations of modes the images determine poorly
@@ -144,7 +159,8 @@ fn channel(argument: &str) -> std::result::Result<(String, PathBuf), String> {
     }
 }
 
-/// A file, and the channel that is named before it; the name of a file that is there may have an equals sign.
+/// A file, and the channel that is named before it; the name of a file that is there may have an
+/// equals sign.
 fn file_of_channel(argument: &str) -> std::result::Result<(Option<String>, PathBuf), String> {
     if !argument.contains('=') || Path::new(argument).exists() {
         return Ok((None, argument.into()));

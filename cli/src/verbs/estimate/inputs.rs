@@ -49,7 +49,8 @@ impl Arguments {
         Ok(channels)
     }
 
-    /// The images of each channel with the slopes of `--slopes`; of one exposure that all channels share, they are those of each.
+    /// The images of each channel with the slopes of `--slopes`; of one exposure that all channels
+    /// share, they are those of each.
     fn with_slopes(&self, mut channels: Vec<Images>, is_simultaneous: bool) -> Result<Vec<Images>> {
         for (name, file) in &self.slopes {
             let is_meant = |images: &Images| name.is_none() || images.channel == *name;

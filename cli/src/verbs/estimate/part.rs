@@ -43,7 +43,8 @@ pub(super) fn fit(arguments: &Arguments, work: &Work, part: Part, earlier: Vec<F
     Ok(fitted)
 }
 
-/// The estimate of all `parts`, by the command that made them; `flags` are further --json, --strict and --verbose.
+/// The estimate of all `parts`, by the command that made them; `flags` are further --json, --strict
+/// and --verbose.
 pub fn merge(parts: &[PathBuf], output: PathBuf, flags: [bool; 3], terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     let inputs: Vec<_> = parts.iter().map(|part| ("a part", part.as_path())).collect();

@@ -1,7 +1,9 @@
-//! `cophase estimate --part rank`: each process that mpirun or srun starts fits its part, and the first makes the estimate of all.
+//! `cophase estimate --part rank`: each process that mpirun or srun starts fits its part, and the
+//! first makes the estimate of all.
 //!
-//! The parts are files in the folder `OUTPUT.parts`, which all processes see. Where a job was stopped the folder stays, and the same
-//! command, with any number of processes, takes the fits that are there.
+//! The parts are files in the folder `OUTPUT.parts`, which all processes see. Where a job was
+//! stopped the folder stays, and the same command, with any number of processes, takes the fits
+//! that are there.
 
 use super::arguments::Arguments;
 use super::part;
@@ -92,7 +94,8 @@ fn first(
     }
 }
 
-/// The part in `folder`, where it is there and of the same estimate as `own`: another one is left from an earlier job, and replaced.
+/// The part in `folder`, where it is there and of the same estimate as `own`: another one is left
+/// from an earlier job, and replaced.
 fn part_of(folder: &Path, part: Part, own: &FittedPart) -> Option<FittedPart> {
     let path = folder.join(name_of(part));
     if !path.exists() {
@@ -122,7 +125,8 @@ fn parts_in(folder: &Path) -> Vec<PathBuf> {
     entries.filter(is_part).collect()
 }
 
-/// Removes the files of all ranks and their folder; other files in it stay, and with them the folder.
+/// Removes the files of all ranks and their folder; other files in it stay, and with them the
+/// folder.
 fn remove(folder: &Path) {
     let is_own = |name: &str| {
         (name.starts_with("part-") && name.ends_with(".fits"))

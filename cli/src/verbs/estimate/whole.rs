@@ -21,7 +21,8 @@ pub(super) struct Work {
 }
 
 impl Work {
-    /// Reads the inputs; refuses corrections that the scene does not describe, and outputs that are files of the scene.
+    /// Reads the inputs; refuses corrections that the scene does not describe, and outputs that are
+    /// files of the scene.
     pub(super) fn new(arguments: &Arguments, bar: &Wait, interrupt: &Interrupt) -> Result<Self> {
         let (scene, images) = arguments.inputs()?;
         files::spare_files_of(&scene, &arguments.outputs())?;
@@ -92,7 +93,8 @@ pub(super) fn conclude(
     Ok(if is_doubtful { ExitCode::from(DOUBTFUL_STATUS) } else { ExitCode::SUCCESS })
 }
 
-/// The estimate of `images`, those of each channel, which are of the file `name`, with a progress bar.
+/// The estimate of `images`, those of each channel, which are of the file `name`, with a progress
+/// bar.
 pub fn estimated(
     name: &Path,
     scene: &Scene,

@@ -1,8 +1,9 @@
 //! Sub-pixel centring by Fourier interpolation and a Fourier shift.
 //!
-//! A PSF sampled at least twice per λ/D is band-limited, so its Fourier interpolant equals the PSF between the pixels
-//! (except for the light beyond the edges of the box). The peak is found on the interpolant, and the image is shifted
-//! by a phase on its transform, without blur, as in Poyneer 2003 (Appl. Opt. 42, 5807).
+//! A PSF sampled at least twice per λ/D is band-limited, so its Fourier interpolant equals the PSF
+//! between the pixels (except for the light beyond the edges of the box). The peak is found on the
+//! interpolant, and the image is shifted by a phase on its transform, without blur, as in Poyneer
+//! 2003 (Appl. Opt. 42, 5807).
 
 use super::fft2;
 use cophase::{Error, Result};
@@ -21,12 +22,13 @@ pub struct CentredImage {
 
 /// Shifts `image`, `[y, x]`, so that its peak lies on pixel `[rows/2, columns/2]`.
 ///
-/// The peak is the maximum of the Fourier interpolant next to the brightest pixel. The shift wraps around the edges of
-/// the box and conserves the sum, so crop to the star first. The image should be sampled at least twice per λ/D.
+/// The peak is the maximum of the Fourier interpolant next to the brightest pixel. The shift wraps
+/// around the edges of the box and conserves the sum, so crop to the star first. The image should
+/// be sampled at least twice per λ/D.
 ///
 /// # Errors
-/// [`Error::Image`] for an image that is empty, constant, or has a value that is not finite, and if the ascent to the
-/// peak does not converge.
+/// [`Error::Image`] for an image that is empty, constant, or has a value that is not finite, and if
+/// the ascent to the peak does not converge.
 pub fn centre(image: ArrayView2<f64>) -> Result<CentredImage> {
     let interpolant = Interpolant::new("image", image)?;
     let peak = interpolant.peak()?;
@@ -35,14 +37,16 @@ pub fn centre(image: ArrayView2<f64>) -> Result<CentredImage> {
     Ok(CentredImage { image: interpolant.shifted(shift_px), shift_px })
 }
 
-/// Largest number of steps of the ascent. Newton's method takes about 5 on a PSF; elsewhere a step is at most half a
-/// pixel.
+/// Largest number of steps of the ascent. Newton's method takes about 5 on a PSF; elsewhere a step
+/// is at most half a pixel.
 const STEPS: usize = 50;
 
-/// Longest step, pixels: the core of a PSF at the Nyquist limit is concave within about this distance of its peak.
+/// Longest step, pixels: the core of a PSF at the Nyquist limit is concave within about this
+/// distance of its peak.
 const LONGEST_PX: f64 = 0.5;
 
-/// Length of a step at which the ascent ends, pixels. The error of the peak's height is of the order of its square.
+/// Length of a step at which the ascent ends, pixels. The error of the peak's height is of the
+/// order of its square.
 const SHORTEST_PX: f64 = 1e-9;
 
 /// Maximum of an interpolant.
@@ -92,7 +96,8 @@ impl Interpolant {
         self.spectrum[[0, 0]].re
     }
 
-    /// Finds the maximum by ascent from the brightest pixel, so the peak is not lower than that pixel.
+    /// Finds the maximum by ascent from the brightest pixel, so the peak is not lower than that
+    /// pixel.
     pub(super) fn peak(&self) -> Result<Peak> {
         let pixels = fft2::image(self.spectrum.view());
         let brightest = pixels.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).map_or((0, 0), |(at, _)| at);
@@ -152,8 +157,8 @@ impl Interpolant {
 }
 
 impl Local {
-    /// Ascent step: Newton's if the Hessian is negative definite, along the gradient otherwise; at most [`LONGEST_PX`]
-    /// long.
+    /// Ascent step: Newton's if the Hessian is negative definite, along the gradient otherwise; at
+    /// most [`LONGEST_PX`] long.
     fn ascent(&self) -> [f64; 2] {
         let ([y, x], [yy, xy, xx]) = (self.slope, self.curvature);
         let determinant = yy * xx - xy * xy;
@@ -174,8 +179,9 @@ fn frequency(k: usize, n: usize) -> f64 {
     (if 2 * k <= n { k as f64 } else { k as f64 - n as f64 }) / n as f64
 }
 
-/// `exp(2πi·f_k·at)` for each frequency, and its first and second derivatives with respect to `at`. The Nyquist
-/// frequency of an even length represents both signs, a cosine, so the interpolant of a real image is real.
+/// `exp(2πi·f_k·at)` for each frequency, and its first and second derivatives with respect to `at`.
+/// The Nyquist frequency of an even length represents both signs, a cosine, so the interpolant of a
+/// real image is real.
 fn phasors(n: usize, at: f64) -> [Vec<Complex64>; 3] {
     let mut phasors = [0; 3].map(|_| Vec::with_capacity(n));
     for k in 0..n {
@@ -212,8 +218,8 @@ fn check(name: &str, image: ArrayView2<f64>) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// A Gaussian of 1.4 pixels RMS: at the Nyquist frequency its spectrum is exp(−2(π·1.4/2)²) = 6e-5, at the edges of
-    /// the box (20 pixels off, at least 8 RMS) it is below 1e-14.
+    /// A Gaussian of 1.4 pixels RMS: at the Nyquist frequency its spectrum is exp(−2(π·1.4/2)²) =
+    /// 6e-5, at the edges of the box (20 pixels off, at least 8 RMS) it is below 1e-14.
     const RMS_PX: f64 = 1.4;
     const ALIASED: f64 = 6e-5;
 
@@ -232,8 +238,8 @@ mod tests {
             let wanted = [(rows / 2) as f64, (columns / 2) as f64];
             let expected = spot(rows, columns, wanted);
             let worst = (&centred.image - &expected).iter().fold(0.0f64, |worst, d| worst.max(d.abs()));
-            // The spectrum beyond Nyquist is aliased and shifted by a wrong phase: an error of at most twice that, in a
-            // few rows.
+            // The spectrum beyond Nyquist is aliased and shifted by a wrong phase: an error of at
+            // most twice that, in a few rows.
             assert!(worst < 4.0 * ALIASED, "{worst:.1e}");
             for ((shift, wanted), at) in centred.shift_px.iter().zip(wanted).zip(at) {
                 // Slope of the aliased part, at most π·6e-5, over the curvature of the top, 1/1.4².
@@ -258,8 +264,8 @@ mod tests {
         let here = interpolant.local(at);
         let [up, down] = [step, -step].map(|s| interpolant.local([at[0] + s, at[1]]));
         let [right, left] = [step, -step].map(|s| interpolant.local([at[0], at[1] + s]));
-        // Central differences of waves of at most π per pixel: π³/6·step² = 5e-8 of heights of the order 10, times π
-        // for each further derivative.
+        // Central differences of waves of at most π per pixel: π³/6·step² = 5e-8 of heights of the
+        // order 10, times π for each further derivative.
         let pairs = [
             (here.slope[0], up.height - down.height),
             (here.slope[1], right.height - left.height),

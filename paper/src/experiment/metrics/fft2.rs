@@ -5,11 +5,12 @@ use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
 use std::sync::Arc;
 
-/// Side of the tiles of the transposition: 8 × 8 complex numbers of 16 bytes are 8 cache lines read and 8 written.
+/// Side of the tiles of the transposition: 8 × 8 complex numbers of 16 bytes are 8 cache lines read
+/// and 8 written.
 const TILE: usize = 8;
 
-/// FFT of `rows × columns` arrays. The result is *transposed*, `[x][y]`: sums over it, and the inverse transform with a
-/// plan of `columns × rows`, need no second transposition.
+/// FFT of `rows × columns` arrays. The result is *transposed*, `[x][y]`: sums over it, and the
+/// inverse transform with a plan of `columns × rows`, need no second transposition.
 pub(super) struct Fft2 {
     rows: usize,
     columns: usize,
@@ -27,8 +28,8 @@ impl Fft2 {
         Self { rows, columns, along_x, along_y, transposed: zeros(rows * columns), scratch: zeros(scratch) }
     }
 
-    /// Computes the transform, not normalised, of `field`, `[y][x]`, which is overwritten. Rows from `nonzero_rows` on
-    /// contain zeros only and are not transformed along x.
+    /// Computes the transform, not normalised, of `field`, `[y][x]`, which is overwritten. Rows
+    /// from `nonzero_rows` on contain zeros only and are not transformed along x.
     pub(super) fn process(&mut self, field: &mut [Complex64], nonzero_rows: usize) -> &mut [Complex64] {
         self.along_x.process_with_scratch(&mut field[..nonzero_rows * self.columns], &mut self.scratch);
         for y0 in (0..self.rows).step_by(TILE) {

@@ -1,6 +1,7 @@
 //! Figures of merit of simulated images and of telemetry: Strehl ratios, power spectra.
 //!
-//! Functions on arrays `[y, x]`, and running averages over telemetry ([`Marechal`], [`PsdAverage`]) in constant memory.
+//! Functions on arrays `[y, x]`, and running averages over telemetry ([`Marechal`], [`PsdAverage`])
+//! in constant memory.
 
 mod centre;
 mod fft2;

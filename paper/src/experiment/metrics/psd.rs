@@ -1,4 +1,5 @@
-//! Two-dimensional power spectral density: variance within a band, ratio of two spectra, radial average.
+//! Two-dimensional power spectral density: variance within a band, ratio of two spectra, radial
+//! average.
 
 use cophase::{Error, Result};
 use ndarray::{Array2, Zip};
@@ -21,8 +22,8 @@ pub struct Rings {
     pub samples: Vec<usize>,
 }
 
-/// Half-width of the square of frequencies that a mirror with an actuator pitch of `pitch_m` controls: 1/(2·pitch),
-/// cycles/m.
+/// Half-width of the square of frequencies that a mirror with an actuator pitch of `pitch_m`
+/// controls: 1/(2·pitch), cycles/m.
 ///
 /// # Errors
 /// [`Error::Value`] for a pitch that is not positive and finite.
@@ -58,11 +59,12 @@ impl Psd {
         self.density_nm2_m2.sum() * self.step_per_m.powi(2)
     }
 
-    /// Variance within the box |fx|, |fy| ≤ `half_width_per_m`, nm². A sample represents the square of one step around
-    /// it, and is weighted by the fraction of that square inside the box.
+    /// Variance within the box |fx|, |fy| ≤ `half_width_per_m`, nm². A sample represents the square
+    /// of one step around it, and is weighted by the fraction of that square inside the box.
     ///
     /// # Errors
-    /// [`Error::Value`] for a half-width that is negative, not finite, or beyond the highest frequency of the spectrum.
+    /// [`Error::Value`] for a half-width that is negative, not finite, or beyond the highest
+    /// frequency of the spectrum.
     pub fn variance_within_nm2(&self, half_width_per_m: f64) -> Result<f64> {
         let highest = self.highest_per_m();
         // Equal widths may differ by rounding.
@@ -78,8 +80,8 @@ impl Psd {
         Ok(sum * self.step_per_m.powi(2))
     }
 
-    /// Ratio of this density to that of `other`, `[fy, fx]`. NaN at frequency 0, which both lack (the mean is removed),
-    /// and where `other` is 0.
+    /// Ratio of this density to that of `other`, `[fy, fx]`. NaN at frequency 0, which both lack
+    /// (the mean is removed), and where `other` is 0.
     ///
     /// # Errors
     /// [`Error::Shape`] for spectra of different sizes, [`Error::Value`] for different steps.
@@ -104,8 +106,8 @@ impl Psd {
         Ok(ratio)
     }
 
-    /// Averages over rings one step wide around frequency 0, up to the highest frequency along the axes, without the
-    /// corners.
+    /// Averages over rings one step wide around frequency 0, up to the highest frequency along the
+    /// axes, without the corners.
     pub fn rings(&self) -> Rings {
         let count = self.side() / 2 + 1;
         let mut rings =
@@ -136,8 +138,8 @@ impl Psd {
         self.side() as f64 / 2.0 * self.step_per_m
     }
 
-    /// Fraction of the step around frequency `j` that lies within ±`half_width_per_m`. The step at the Nyquist
-    /// frequency is cut at that frequency; its other half is the mirror image.
+    /// Fraction of the step around frequency `j` that lies within ±`half_width_per_m`. The step at
+    /// the Nyquist frequency is cut at that frequency; its other half is the mirror image.
     fn share(&self, j: usize, half_width_per_m: f64) -> f64 {
         let middle = self.frequency_per_m(j).abs();
         let from = middle - self.step_per_m / 2.0;

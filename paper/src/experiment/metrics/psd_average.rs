@@ -1,21 +1,25 @@
-//! Average power spectrum of many maps over a pupil, in constant memory, with one FFT for every two maps.
+//! Average power spectrum of many maps over a pupil, in constant memory, with one FFT for every two
+//! maps.
 //!
-//! **Window and normalisation.** With weights a over the pupil (Σ over its samples) and W̄ = Σ a·W / Σ a,
+//! **Window and normalisation.** With weights a over the pupil (Σ over its samples) and W̄ = Σ a·W
+//! / Σ a,
 //!
 //! `PSD(f) = pitch² / Σ a · |Σ √a·(W − W̄)·exp(−2πi·f·x)|²`
 //!
-//! so that, by Parseval, the sum of the density over the grid of frequencies times the area of a step is exactly Σ a·(W
-//! − W̄)² / Σ a. With a the pupil amplitude A, this is the variance of all other figures of merit. (A window A would
-//! correspond to the weight A², which differs at partly covered samples.)
+//! so that, by Parseval, the sum of the density over the grid of frequencies times the area of a
+//! step is exactly Σ a·(W − W̄)² / Σ a. With a the pupil amplitude A, this is the variance of all
+//! other figures of merit. (A window A would correspond to the weight A², which differs at partly
+//! covered samples.)
 //!
-//! **Taper.** By default there is none: the window ends at the pupil's edge. A strong spatial frequency then leaks into
-//! its neighbours like the light of a star in the telescope's PSF, as f⁻³ on average over directions. Behind adaptive
-//! optics there is no excess at low frequencies that could leak, phasing errors at the rim have their full weight, and
-//! the leakage cancels in a ratio of two spectra. Open-loop turbulence falls as f^(−11/3), below its own leakage: call
+//! **Taper.** By default there is none: the window ends at the pupil's edge. A strong spatial
+//! frequency then leaks into its neighbours like the light of a star in the telescope's PSF, as f⁻³
+//! on average over directions. Behind adaptive optics there is no excess at low frequencies that
+//! could leak, phasing errors at the rim have their full weight, and the leakage cancels in a ratio
+//! of two spectra. Open-loop turbulence falls as f^(−11/3), below its own leakage: call
 //! [`PsdAverage::with_weights`] with weights that fall smoothly to 0, such as A·cos⁴(π·r/D).
 //!
-//! **Two maps per FFT.** For real maps a and b, `|â|² + |b̂|²` at f is the mean of `|F{a + ib}|²` at f and at −f. The
-//! average over ±f is taken once, at the end.
+//! **Two maps per FFT.** For real maps a and b, `|â|² + |b̂|²` at f is the mean of `|F{a + ib}|²`
+//! at f and at −f. The average over ±f is taken once, at the end.
 
 use super::fft2::Fft2;
 use super::psd::Psd;
@@ -25,8 +29,8 @@ use cophase_numerics::fft::FftDirection;
 use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
 
-/// Largest zero-padding factor. A factor of 2 already determines the spectrum; larger ones interpolate it, and memory
-/// grows with the square of the factor.
+/// Largest zero-padding factor. A factor of 2 already determines the spectrum; larger ones
+/// interpolate it, and memory grows with the square of the factor.
 pub const LARGEST_PADDING: usize = 8;
 
 /// Running average of the power spectra of residual wavefronts over a pupil.
@@ -40,14 +44,15 @@ pub struct PsdAverage {
     fft: Fft2,
     /// `[y][x]`, padded: one map in the real parts, the next in the imaginary parts.
     field: Vec<Complex64>,
-    /// `[x][y]`, frequency 0 first: sum over pairs of maps of the power at f, not yet averaged over ±f.
+    /// `[x][y]`, frequency 0 first: sum over pairs of maps of the power at f, not yet averaged over
+    /// ±f.
     power: Vec<f64>,
     maps: usize,
 }
 
 impl PsdAverage {
-    /// Average of maps over `pupil`, weighted by the pupil amplitude A. With `padding` = 1 the frequencies are
-    /// 1/`grid.width_m()` apart; larger factors interpolate between them.
+    /// Average of maps over `pupil`, weighted by the pupil amplitude A. With `padding` = 1 the
+    /// frequencies are 1/`grid.width_m()` apart; larger factors interpolate between them.
     ///
     /// # Errors
     /// Those of [`PsdAverage::with_weights`].
@@ -58,8 +63,9 @@ impl PsdAverage {
     /// Average of maps on `grid`, with the caller's weights `[y, x]` (the squares of the window).
     ///
     /// # Errors
-    /// [`Error::Shape`] for weights that do not have the grid's shape, [`Error::Value`] for one that is negative or not
-    /// finite, for weights that are 0 everywhere, and for a padding of 0 or beyond [`LARGEST_PADDING`].
+    /// [`Error::Shape`] for weights that do not have the grid's shape, [`Error::Value`] for one
+    /// that is negative or not finite, for weights that are 0 everywhere, and for a padding of 0 or
+    /// beyond [`LARGEST_PADDING`].
     pub fn with_weights(grid: Grid, weights: ArrayView2<f64>, padding: usize) -> Result<Self> {
         check_shape("weights", weights.dim(), &grid)?;
         if let Some(((y, x), value)) = weights.indexed_iter().find(|(_, a)| !(a.is_finite() && **a >= 0.0)) {
@@ -84,12 +90,12 @@ impl PsdAverage {
         Ok(Self { grid, weight, window, padded, fft, field, power: vec![0.0; padded * padded], maps: 0 })
     }
 
-    /// Adds a map `[y, x]`, nm. Its mean over the pupil is removed; tip and tilt are kept. Values with weight 0 are
-    /// ignored.
+    /// Adds a map `[y, x]`, nm. Its mean over the pupil is removed; tip and tilt are kept. Values
+    /// with weight 0 are ignored.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map that does not have the grid's shape, [`Error::Value`] for a value inside the pupil
-    /// that is not finite; the average is then unchanged.
+    /// [`Error::Shape`] for a map that does not have the grid's shape, [`Error::Value`] for a value
+    /// inside the pupil that is not finite; the average is then unchanged.
     pub fn add<T: Copy + Into<f64>>(&mut self, map_nm: ArrayView2<T>) -> Result<()> {
         check_shape("map", map_nm.dim(), &self.grid)?;
         let weighted = || self.weight.iter().zip(&map_nm).filter(|(a, _)| **a > 0.0);

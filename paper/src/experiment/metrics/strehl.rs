@@ -1,43 +1,48 @@
-//! Strehl ratio by three methods: from an image by its energy, from an image by its OTF, from telemetry by Maréchal.
+//! Strehl ratio by three methods: from an image by its energy, from an image by its OTF, from
+//! telemetry by Maréchal.
 //!
-//! The two methods for images compare an image with the *perfect* PSF: of the same telescope, at the same wavelength
-//! and sampling, in a box of the same size, without aberration. Both peaks are interpolated between the pixels (see
-//! [`centre`](super::centre)), so neither image needs centring to better than a pixel. The energy is that within the
-//! box: light scattered out of it is not counted, and makes the ratio too high by its fraction.
+//! The two methods for images compare an image with the *perfect* PSF: of the same telescope, at
+//! the same wavelength and sampling, in a box of the same size, without aberration. Both peaks are
+//! interpolated between the pixels (see [`centre`](super::centre)), so neither image needs centring
+//! to better than a pixel. The energy is that within the box: light scattered out of it is not
+//! counted, and makes the ratio too high by its fraction.
 
 use super::centre::Interpolant;
 use cophase::{Error, Result};
 use ndarray::ArrayView2;
 use std::f64::consts::PI;
 
-/// Strehl ratio by energy normalisation: the peak of `image` over that of `perfect`, each divided by its sum over the
-/// box.
+/// Strehl ratio by energy normalisation: the peak of `image` over that of `perfect`, each divided
+/// by its sum over the box.
 ///
-/// Both are `[y, x]`, in any unit, of the same shape. `background` is subtracted from every pixel of `image`. An error
-/// `b` of it, in an image of `P` pixels and sum `F`, causes a relative error `b·P/F` of the ratio. `perfect` has no
-/// background. White noise of `s` per pixel causes a relative error `s/peak`, and for a faint star in a large box
-/// `s·√P/F`.
+/// Both are `[y, x]`, in any unit, of the same shape. `background` is subtracted from every pixel
+/// of `image`. An error `b` of it, in an image of `P` pixels and sum `F`, causes a relative error
+/// `b·P/F` of the ratio. `perfect` has no background. White noise of `s` per pixel causes a
+/// relative error `s/peak`, and for a faint star in a large box `s·√P/F`.
 ///
 /// # Errors
-/// [`Error::Shape`] for images of different shapes, [`Error::Value`] for a background that is not finite,
-/// [`Error::Image`] for an image without light, or one that [`centre`](super::centre) refuses.
+/// [`Error::Shape`] for images of different shapes, [`Error::Value`] for a background that is not
+/// finite, [`Error::Image`] for an image without light, or one that [`centre`](super::centre)
+/// refuses.
 pub fn strehl_by_energy(image: ArrayView2<f64>, background: f64, perfect: ArrayView2<f64>) -> Result<f64> {
     let [measured, ideal] = interpolants(image, background, perfect)?;
     Ok(peak_over_sum("image", &measured)? / peak_over_sum("perfect image", &ideal)?)
 }
 
-/// Strehl ratio by the OTF: Σ OTF of `image` over Σ OTF of `perfect`, over the frequencies that the telescope passes.
-/// Each OTF is 1 at frequency 0, and centred so that its sum is real and largest.
+/// Strehl ratio by the OTF: Σ OTF of `image` over Σ OTF of `perfect`, over the frequencies that the
+/// telescope passes. Each OTF is 1 at frequency 0, and centred so that its sum is real and largest.
 ///
-/// The sum of an OTF is the peak of its PSF, so this is [`strehl_by_energy`] of images low-passed at the telescope's
-/// cut-off. Without noise the two methods differ only by the effect of the box's edges. Only π/s² of the variance of
-/// white noise contributes to the peak, with s = `samples_per_lambda_over_d`.
+/// The sum of an OTF is the peak of its PSF, so this is [`strehl_by_energy`] of images low-passed
+/// at the telescope's cut-off. Without noise the two methods differ only by the effect of the box's
+/// edges. Only π/s² of the variance of white noise contributes to the peak, with s =
+/// `samples_per_lambda_over_d`.
 ///
-/// `samples_per_lambda_over_d` counts pixels per λ/D, where D is the diameter of a circle that contains the pupil; the
-/// OTF ends at D/λ. The other arguments are those of [`strehl_by_energy`].
+/// `samples_per_lambda_over_d` counts pixels per λ/D, where D is the diameter of a circle that
+/// contains the pupil; the OTF ends at D/λ. The other arguments are those of [`strehl_by_energy`].
 ///
 /// # Errors
-/// Those of [`strehl_by_energy`]; [`Error::Value`] for fewer than 2 pixels per λ/D, which alias the OTF.
+/// Those of [`strehl_by_energy`]; [`Error::Value`] for fewer than 2 pixels per λ/D, which alias the
+/// OTF.
 pub fn strehl_by_otf(
     image: ArrayView2<f64>,
     background: f64,
@@ -55,17 +60,18 @@ pub fn strehl_by_otf(
     Ok(peak_over_sum("image", &measured)? / peak_over_sum("perfect image", &ideal)?)
 }
 
-/// Strehl ratio exp(−(2πσ/λ)²) of a wavefront of `rms_nm` (Maréchal as extended by Mahajan 1983, J. Opt. Soc. Am. 73,
-/// 860). The next term of its logarithm is the fourth cumulant of the phase over 12: less than σ⁴/4 (σ in rad) for a
-/// phase whose tails are not heavier than those of a two-sided exponential distribution.
+/// Strehl ratio exp(−(2πσ/λ)²) of a wavefront of `rms_nm` (Maréchal as extended by Mahajan 1983, J.
+/// Opt. Soc. Am. 73, 860). The next term of its logarithm is the fourth cumulant of the phase over
+/// 12: less than σ⁴/4 (σ in rad) for a phase whose tails are not heavier than those of a two-sided
+/// exponential distribution.
 pub fn strehl_by_marechal(rms_nm: f64, wavelength_nm: f64) -> f64 {
     (-(2.0 * PI * rms_nm / wavelength_nm).powi(2)).exp()
 }
 
 /// Maréchal's Strehl ratio over telemetry: the average over frames of [`strehl_by_marechal`].
 ///
-/// This is the Strehl ratio of the long exposure, because intensities add. The RMS of a frame must exclude piston and
-/// include tip and tilt, unless these are also removed from the images.
+/// This is the Strehl ratio of the long exposure, because intensities add. The RMS of a frame must
+/// exclude piston and include tip and tilt, unless these are also removed from the images.
 #[derive(Debug, Clone)]
 pub struct Marechal {
     wavelength_nm: f64,

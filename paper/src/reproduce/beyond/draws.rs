@@ -79,7 +79,8 @@ pub(super) struct Behind {
     sequence: Sequence,
     /// The pupil on which the truth is.
     pupil: Pupil,
-    /// Residuals of the paper's way on the first so many images, by the scene that read them: rows share them.
+    /// Residuals of the paper's way on the first so many images, by the scene that read them: rows
+    /// share them.
     paper_nm: Vec<(Scene, [f64; 2])>,
 }
 
@@ -90,13 +91,15 @@ impl Behind {
         Ok(Self { sequence: Sequence::behind(simulator, progress)?, pupil, paper_nm: Vec::new() })
     }
 
-    /// These, estimates of whose NCPA are held against `ncpa_nm`, if any, in place of all that they show.
+    /// These, estimates of whose NCPA are held against `ncpa_nm`, if any, in place of all that they
+    /// show.
     pub(super) fn held_against(mut self, ncpa_nm: Option<Array2<f64>>) -> Self {
         self.sequence.ncpa_nm = ncpa_nm.unwrap_or(self.sequence.ncpa_nm);
         self
     }
 
-    /// Residuals of maps against the truth. Where one of the pupils has no glass there is nothing to compare.
+    /// Residuals of maps against the truth. Where one of the pupils has no glass there is nothing
+    /// to compare.
     fn residuals_nm(&self, phasing_nm: &Array2<f64>, ncpa_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let on = |map: &Array2<f64>| map.mapv(|nm| if nm.is_finite() { nm } else { 0.0 });
         let residual = |map, truth| residual_nm(&self.pupil, on(map).view(), on(truth).view());
@@ -130,7 +133,8 @@ impl Behind {
     }
 }
 
-/// The scene with which the paper's way reads what `reader` does in full-phase: it knows nothing of the loop.
+/// The scene with which the paper's way reads what `reader` does in full-phase: it knows nothing of
+/// the loop.
 fn modal(reader: &Scene) -> Result<Scene> {
     let settings =
         [("estimate.method", "modal"), ("estimate.ao_knowledge", ""), ("wavefront_sensor.slope_gain", "1.0")];
@@ -156,8 +160,8 @@ impl BeyondRow {
         self.held(behind, &found, count, seed, paper_nm)
     }
 
-    /// The paper's two steps: pistons estimated behind the loop of `first` and corrected, each way by its own estimate,
-    /// then everything behind the row's own loop, under another sky.
+    /// The paper's two steps: pistons estimated behind the loop of `first` and corrected, each way
+    /// by its own estimate, then everything behind the row's own loop, under another sky.
     pub(super) fn two_steps(
         &self,
         first: &str,

@@ -1,8 +1,10 @@
-//! NCPA that were measured on a telescope, and their projection on the influence functions of its mirror.
+//! NCPA that were measured on a telescope, and their projection on the influence functions of its
+//! mirror.
 //!
-//! A measured map ends at the pupil of its day, and has detail that the mirror does not reproduce. Its projection is smooth and
-//! continues where the map has no light. Images are made with the map and, where it has no value, with the projection; estimates
-//! are compared with the projection, and the RMS of the rest is reported.
+//! A measured map ends at the pupil of its day, and has detail that the mirror does not reproduce.
+//! Its projection is smooth and continues where the map has no light. Images are made with the map
+//! and, where it has no value, with the projection; estimates are compared with the projection, and
+//! the RMS of the rest is reported.
 
 use cophase::io::{FitsWriter, Pixel, read_map};
 use cophase::pupil::Grid;
@@ -16,11 +18,13 @@ use std::path::{Path, PathBuf};
 /// How the files are called.
 const PREFIX: &str = "NCPA";
 
-/// Samples of the held map: 24 to a pitch of the mirror, so that what lies between them is a straight line to 1e-3.
+/// Samples of the held map: 24 to a pitch of the mirror, so that what lies between them is a
+/// straight line to 1e-3.
 const HELD_SAMPLES: usize = 480;
 
-/// Weight that keeps actuators that the map determines poorly from large commands, of the strongest one's. A tenth of it holds 0.5 to
-/// 2 nm more of Keck's maps, and goes on half as far again where they show nothing.
+/// Weight that keeps actuators that the map determines poorly from large commands, of the strongest
+/// one's. A tenth of it holds 0.5 to 2 nm more of Keck's maps, and goes on half as far again where
+/// they show nothing.
 const RIDGE: f64 = 1e-2;
 
 /// Least glass of a sample of a map that counts.
@@ -43,11 +47,12 @@ pub struct HeldMap {
     pub turned: bool,
 }
 
-/// The maps in `folder` (FITS files whose name starts with `NCPA`, nm, over the scene's grid, 0 where they show nothing),
-/// fitted by the mirror of `scene` and written to `directory`.
+/// The maps in `folder` (FITS files whose name starts with `NCPA`, nm, over the scene's grid, 0
+/// where they show nothing), fitted by the mirror of `scene` and written to `directory`.
 ///
 /// # Errors
-/// [`Error::File`] for a folder or a file that cannot be read, or written; [`Error::Value`] for a folder without maps.
+/// [`Error::File`] for a folder or a file that cannot be read, or written; [`Error::Value`] for a
+/// folder without maps.
 pub fn held_maps(folder: &Path, scene: &Scene, directory: &Path) -> Result<Vec<HeldMap>> {
     let entries = std::fs::read_dir(folder).map_err(|error| Error::file(folder, error))?;
     let named = |path: &PathBuf| {
@@ -75,7 +80,8 @@ fn held(path: &Path, scene: &Scene, telescope: &Telescope, directory: &Path) -> 
     let width_m = telescope.pupil.grid.width_m();
     let grid = Grid::new(rows, width_m).map_err(in_file)?;
     let glass = telescope.pupil_on(grid)?.amplitude;
-    // Some were stored with the pupil rotated by 90 degrees, as the illuminated part of the map shows.
+    // Some were stored with the pupil rotated by 90 degrees, as the illuminated part of the map
+    // shows.
     let shown = |map: &Array2<f64>| map.iter().zip(&glass).filter(|(nm, glass)| shows(**nm, **glass)).count();
     let across = map_nm.t().to_owned();
     let turned = shown(&across) > shown(&map_nm);
@@ -113,8 +119,8 @@ fn held(path: &Path, scene: &Scene, telescope: &Telescope, directory: &Path) -> 
     Ok(HeldMap { name, held, whole, rms_nm: rms(&wanted_nm), left_nm: rms(&left_nm), turned })
 }
 
-/// Values at `places` of a map of `side` samples, and 0 elsewhere, on the samples of the surface: each takes the value of the
-/// map's sample that it lies in, as the map says no more.
+/// Values at `places` of a map of `side` samples, and 0 elsewhere, on the samples of the surface:
+/// each takes the value of the map's sample that it lies in, as the map says no more.
 fn spread(places: &[(usize, usize)], values: &Array1<f64>, side: usize) -> Array2<f64> {
     let mut map = Array2::zeros((side, side));
     places.iter().zip(values).for_each(|(&at, &value)| map[at] = value);
@@ -183,14 +189,16 @@ mod tests {
         }
         let held = held_maps(folder.path(), &scene, out.path()).unwrap();
         assert_eq!((held.len(), held[0].turned, held[1].turned), (2, false, true));
-        // A wave of 12 pitches is held but for the ridge and the edge: a few hundredths. Checks are not, but for the edge.
+        // A wave of 12 pitches is held but for the ridge and the edge: a few hundredths. Checks are
+        // not, but for the edge.
         assert!(held[0].left_nm < 0.05 * held[0].rms_nm, "{held:?}");
         assert!((held[1].left_nm / 20.0 - 1.0).abs() < 0.05, "{held:?}");
         let smooth = read_map(&held[1].held, None).unwrap();
         let grid = Grid::new(HELD_SAMPLES, 11.25).unwrap();
         assert_eq!(smooth.dim(), (HELD_SAMPLES, HELD_SAMPLES));
         assert!(smooth.iter().all(|nm| nm.abs() < 300.0), "it goes on where the map shows nothing, and nowhere far");
-        // Where the map has values, the whole map differs from the projection by the RMS that was reported.
+        // Where the map has values, the whole map differs from the projection by the RMS that was
+        // reported.
         let rest = read_map(&held[1].whole, None).unwrap() - &smooth;
         let shown = rest.iter().filter(|nm| **nm != 0.0);
         let rms_nm = (shown.clone().map(|nm| nm * nm).sum::<f64>() / shown.count() as f64).sqrt();

@@ -1,8 +1,10 @@
-//! Beyond the paper: the full-phase estimate of the images behind each kind of loop, beside the paper's way.
+//! Beyond the paper: the full-phase estimate of the images behind each kind of loop, beside the
+//! paper's way.
 //!
-//! Every draw is kept in `beyond-draws.csv` as soon as it is done, and none that is there is made again: a long table can
-//! be made in parts. Draws are made seed by seed, so that a table that was stopped has all its rows. Processes that share a table
-//! have each the draws of some seeds, and a file for them, `beyond-draws.part-I-of-N.csv`.
+//! Every draw is kept in `beyond-draws.csv` as soon as it is done, and none that is there is made
+//! again: a long table can be made in parts. Draws are made seed by seed, so that a table that was
+//! stopped has all its rows. Processes that share a table have each the draws of some seeds, and a
+//! file for them, `beyond-draws.part-I-of-N.csv`.
 
 mod draws;
 mod maps;
@@ -25,8 +27,8 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The rows that `options` asks for: those it names, or all; and with a folder of maps one for each of them. A quick look has
-/// the first three.
+/// The rows that `options` asks for: those it names, or all; and with a folder of maps one for each
+/// of them. A quick look has the first three.
 ///
 /// # Errors
 /// [`Error::Value`] for a name that no row has; those of [`held_maps`].
@@ -56,7 +58,8 @@ pub fn beyond_rows(options: &Options) -> Result<(Vec<BeyondRow>, Vec<HeldMap>)> 
     Ok((rows, maps))
 }
 
-/// Draws 1 to `seeds` of `rows`, or those of a part of the seeds; draws in `directory` are taken from there, and new ones added to them.
+/// Draws 1 to `seeds` of `rows`, or those of a part of the seeds; draws in `directory` are taken
+/// from there, and new ones added to them.
 ///
 /// # Errors
 /// Those of the simulator and of the estimator; [`Error::File`]; [`Error::Interrupted`].
@@ -87,7 +90,8 @@ pub fn beyond(
                 match one(row, made, &group.longest, &mut images, (conditions, seed), progress) {
                     Ok(draw) => {
                         keep(&path, &draw)?;
-                        // With the digits of the file, so that a table does not depend on which of its draws were there.
+                        // With the digits of the file, so that a table does not depend on which of
+                        // its draws were there.
                         draws.extend(BeyondDraw::parse(&draw.line()));
                     }
                     Err(error @ (Error::Interrupted(_) | Error::File { .. })) => return Err(error),
@@ -171,7 +175,8 @@ fn keep(path: &Path, draw: &BeyondDraw) -> Result<()> {
     writeln!(file, "{head}{}", draw.line()).map_err(in_file)
 }
 
-/// Rows that read the same images, which differ in their number at most: an image does not hang on those after it.
+/// Rows that read the same images, which differ in their number at most: an image does not hang on
+/// those after it.
 struct Group<'a> {
     /// The scene with the most images.
     longest: Scene,

@@ -19,7 +19,8 @@ pub struct BeyondRow {
     pub name: Cow<'static, str>,
     /// The row of the paper's table whose loop it has.
     pub row: &'static str,
-    /// The row whose loop the pistons are estimated behind, and corrected, before anything else: the paper's two steps.
+    /// The row whose loop the pistons are estimated behind, and corrected, before anything else:
+    /// the paper's two steps.
     pub first: Option<&'static str>,
     /// What is different in what makes the images, and in what reads them.
     pub made: Settings,
@@ -144,7 +145,8 @@ impl BeyondRow {
         self.map.as_ref().map_or(Ok(scene.clone()), |map| with_map(&scene, &map.whole))
     }
 
-    /// The NCPA that an estimate is held against, where those of `made` have more than any mode of the mirror.
+    /// The NCPA that an estimate is held against, where those of `made` have more than any mode of
+    /// the mirror.
     pub(super) fn held_nm(&self, made: &Scene) -> Result<Option<Array2<f64>>> {
         let Some(map) = &self.map else { return Ok(None) };
         let (held, telescope) = (with_map(made, &map.held)?, Telescope::new(made)?);

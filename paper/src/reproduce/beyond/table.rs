@@ -9,7 +9,8 @@ use cophase::Result;
 use cophase_view::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use std::path::Path;
 
-/// χ² over that of the nominal row beyond which a draw is flagged. Between nominal draws it scatters by a few per cent.
+/// χ² over that of the nominal row beyond which a draw is flagged. Between nominal draws it
+/// scatters by a few per cent.
 const FLAGGED: f64 = 1.3;
 
 /// The whole table.
@@ -40,8 +41,8 @@ impl Beyond {
         mean(&nominal.map(BeyondDraw::chi2).collect::<Vec<_>>())
     }
 
-    /// One line a row: mean and worst of the residuals, the paper's way beside and how often it is worse in both, the
-    /// residual over its error bar, and whether χ² says that something is wrong.
+    /// One line a row: mean and worst of the residuals, the paper's way beside and how often it is
+    /// worse in both, the residual over its error bar, and whether χ² says that something is wrong.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "row",
@@ -74,7 +75,8 @@ impl Beyond {
             let count = |test: &dyn Fn(&BeyondDraw) -> bool| {
                 Cell::Text(format!("{}/{}", draws.iter().filter(|draw| test(draw)).count(), draws.len()))
             };
-            // A loop that leaves the paper's way nothing to fit leaves no number that would be better.
+            // A loop that leaves the paper's way nothing to fit leaves no number that would be
+            // better.
             let not_worse = |draw: &BeyondDraw| {
                 let worse = |(ours, paper): (f64, f64)| ours > paper;
                 !draw.residuals_nm().into_iter().zip(draw.paper_nm()).any(worse)

@@ -1,8 +1,10 @@
-//! Section 4.5: segments moved by what a sequence of images said, and the loop that an astronomer then gets.
+//! Section 4.5: segments moved by what a sequence of images said, and the loop that an astronomer
+//! then gets.
 //!
-//! Images come from the masked, inpainted, pseudo-open loop, 75 a pass. What is delivered comes from the plain zonal loop:
-//! the paper does not say which, but its figures do. Pistons of 64 nm cost it 1 % of Strehl ratio in H, as a loop does
-//! that takes three quarters of their variance away (see `leak`); one that lets them pass would lose 6 %.
+//! Images come from the masked, inpainted, pseudo-open loop, 75 a pass. What is delivered comes
+//! from the plain zonal loop: the paper does not say which, but its figures do. Pistons of 64 nm
+//! cost it 1 % of Strehl ratio in H, as a loop does that takes three quarters of their variance
+//! away (see `leak`); one that lets them pass would lose 6 %.
 
 use super::setup;
 use crate::reproduce::on_sky::{Reader, Sequence};
@@ -126,7 +128,8 @@ impl Bench {
         Amplitude::ALL.map(Amplitude::passes).iter().sum::<usize>() * self.images
     }
 
-    /// Draw `seed` of a telescope: conventional before and after, substantial before and after each pass, perfect.
+    /// Draw `seed` of a telescope: conventional before and after, substantial before and after each
+    /// pass, perfect.
     pub(super) fn states(&self, seed: usize, progress: &Progress) -> Result<Vec<State>> {
         let mut states = Vec::with_capacity(STATES);
         for amplitude in Amplitude::ALL {
@@ -156,13 +159,15 @@ impl Bench {
         found.ok_or_else(|| Error::Image(format!("none of {} images could be fitted", sequence.images())))
     }
 
-    /// The loop that is used afterwards on a telescope with these pistons; the sky of draw `seed`, for all of its states.
+    /// The loop that is used afterwards on a telescope with these pistons; the sky of draw `seed`,
+    /// for all of its states.
     pub(super) fn delivering(&self, seed: usize, piston_nm: &[f64]) -> Result<Simulator> {
         system(&setup::with_seed(&setup::row(DELIVERING)?.scene(&self.conditions)?, seed)?, piston_nm)
     }
 }
 
-/// True pistons after the segments were moved by the opposite of their estimates, which come first among the modes.
+/// True pistons after the segments were moved by the opposite of their estimates, which come first
+/// among the modes.
 fn corrected(piston_nm: &[f64], estimate: &ModalEstimate) -> Vec<f64> {
     piston_nm.iter().zip(&estimate.combined.modes.coefficients_nm).map(|(truth, estimate)| truth - estimate).collect()
 }
@@ -188,7 +193,8 @@ fn state(telescope: &Telescope, truth: Truth, amplitude: Option<Amplitude>, pass
     Ok(State { amplitude, pass, piston_nm: truth.piston_nm, phasing_nm })
 }
 
-/// Lets the loop of `simulator` settle, and shows the residual wavefront of every frame of the second that follows.
+/// Lets the loop of `simulator` settle, and shows the residual wavefront of every frame of the
+/// second that follows.
 pub(super) fn watch(
     simulator: &mut Simulator,
     progress: &Progress,

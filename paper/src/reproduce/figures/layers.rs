@@ -1,5 +1,5 @@
-//! Section 4: what goes into the simulation. The layers of turbulence with the segments as a static one, the NCPA, and
-//! the subapertures that are masked.
+//! Section 4: what goes into the simulation. The layers of turbulence with the segments as a static
+//! one, the NCPA, and the subapertures that are masked.
 
 use super::setup::{self, on_pupil, wavefront};
 use crate::reproduce::statistics::{mean, standard_deviation};
@@ -10,7 +10,8 @@ use cophase_view::plot::{CaptionedMap, MapScale, MapsPicture};
 use ndarray::Array2;
 use std::path::Path;
 
-/// Shades that distinguish neighbouring segments under the mask, of 1; blue, because the mask is red.
+/// Shades that distinguish neighbouring segments under the mask, of 1; blue, because the mask is
+/// red.
 const SHADES: [f64; 3] = [-0.15, -0.3, -0.45];
 /// Shade of a masked subaperture.
 const MASKED: f64 = 0.8;
@@ -47,7 +48,8 @@ pub struct Layers {
     inputs: MapsPicture,
 }
 
-/// Draws 1 to `seeds` of the aberrations and of the turbulence at the moment when the loop is closed.
+/// Draws 1 to `seeds` of the aberrations and of the turbulence at the moment when the loop is
+/// closed.
 ///
 /// # Errors
 /// Those of the simulator; [`Error::Interrupted`].
@@ -150,7 +152,8 @@ fn pictures(
 /// The segments in shades, masked subapertures over them.
 fn mask(simulator: &Simulator) -> CaptionedMap {
     let (pupil, lenslets) = (simulator.pupil(), simulator.lenslets());
-    // Three shades such that no two neighbours share one: by the segment's place in its row and column of hexagons.
+    // Three shades such that no two neighbours share one: by the segment's place in its row and
+    // column of hexagons.
     let side_m = simulator.scene().pupil.segment_side_m;
     let shade = |owner: usize| {
         let segment = pupil.segments[owner];

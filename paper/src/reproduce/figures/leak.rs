@@ -1,5 +1,5 @@
-//! Section 4: the loop closed on the segments' steps alone. All that the mirror then shows has leaked into it, and
-//! stands in the way of every estimate.
+//! Section 4: the loop closed on the segments' steps alone. All that the mirror then shows has
+//! leaked into it, and stands in the way of every estimate.
 
 use super::setup;
 use crate::reproduce::statistics::{mean, standard_deviation};
@@ -12,8 +12,9 @@ use ndarray::Array2;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// The mirror is at rest when no actuator moves by more than this in a frame, nm: with a gain of 0.3 it is then within
-/// 0.003 nm of where it goes, and rounding (1e-7 of strokes of some 500 nm) moves it less.
+/// The mirror is at rest when no actuator moves by more than this in a frame, nm: with a gain of
+/// 0.3 it is then within 0.003 nm of where it goes, and rounding (1e-7 of strokes of some 500 nm)
+/// moves it less.
 const STILL_NM: f32 = 1e-3;
 /// Frames after which a mirror that still moves is taken as it is. A stable loop of gain g needs
 /// ln(500 nm/1e-3 nm)/g = 45 of them at 0.3.
@@ -27,13 +28,15 @@ pub struct LeakCase {
     pub segments: Segments,
     /// `wavefront_sensor.mask_dominant_fraction`.
     pub mask_dominant_fraction: f64,
-    /// What an independent prototype (a loop in C, 12 draws) left on the mirror, nm, where it was tried.
+    /// What an independent prototype (a loop in C, 12 draws) left on the mirror, nm, where it was
+    /// tried.
     pub prototype_nm: Option<f64>,
 }
 
 impl LeakCase {
-    /// The loops of the paper on the real segments and on its own, with either reading of its criterion for the mask:
-    /// one segment holds 75 % of the light, or the other one at most a quarter as much as the first.
+    /// The loops of the paper on the real segments and on its own, with either reading of its
+    /// criterion for the mask: one segment holds 75 % of the light, or the other one at most a
+    /// quarter as much as the first.
     pub const ALL: [LeakCase; 7] = [
         LeakCase::new("zonal", Segments::Real, 0.75, Some(49.0)),
         LeakCase::new("zonal", Segments::Published, 0.75, None),
@@ -160,7 +163,8 @@ impl LeakCase {
     }
 }
 
-/// Commands of the mirror once it is at rest, nm, and the frames until then; of a mirror that still moves at the end no number of frames.
+/// Commands of the mirror once it is at rest, nm, and the frames until then; of a mirror that still
+/// moves at the end no number of frames.
 ///
 /// # Errors
 /// Those of [`Simulator::step`].
@@ -179,7 +183,8 @@ pub(in crate::reproduce) fn settled_commands_nm(simulator: &mut Simulator) -> Re
     Ok((commands_nm, frames))
 }
 
-/// Segment errors, the mirror's surface for `commands_nm`, and what is between them on the pupil, nm, piston, tip and tilt removed.
+/// Segment errors, the mirror's surface for `commands_nm`, and what is between them on the pupil,
+/// nm, piston, tip and tilt removed.
 ///
 /// # Errors
 /// Those of [`Simulator::surface_nm`].

@@ -1,4 +1,5 @@
-//! Section 4.3: the estimate from a sequence of images behind the masked, inpainted, pseudo-open loop, mode by mode.
+//! Section 4.3: the estimate from a sequence of images behind the masked, inpainted, pseudo-open
+//! loop, mode by mode.
 
 use super::setup;
 use crate::reproduce::on_sky::{Reader, Sequence};
@@ -29,7 +30,8 @@ pub struct ModalDraw {
     pub estimate_nm: Vec<f64>,
     /// Its standard error, nm.
     pub sigma_nm: Vec<f64>,
-    /// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with itself.
+    /// Each mode's part in the truth, nm: its product with the true map over the pupil, over that
+    /// with itself.
     pub truth_nm: Vec<f64>,
     /// Residual of the maps, phasing and NCPA, nm.
     pub residual_nm: [f64; 2],
@@ -155,7 +157,8 @@ fn picture(
     })
 }
 
-/// `segment-07-piston` as `piston 7`: the picture makes the words before the numbers the label of the axis.
+/// `segment-07-piston` as `piston 7`: the picture makes the words before the numbers the label of
+/// the axis.
 fn short(name: &str) -> String {
     let parts = name.strip_prefix("segment-").and_then(|rest| rest.split_once('-'));
     let numbered = parts.and_then(|(number, motion)| Some((number.parse::<usize>().ok()?, motion)));
@@ -163,7 +166,8 @@ fn short(name: &str) -> String {
 }
 
 impl Modes {
-    /// Segments and NCPA: residual of the maps, error of the coefficients, and how far they follow the truth.
+    /// Segments and NCPA: residual of the maps, error of the coefficients, and how far they follow
+    /// the truth.
     pub fn summary(&self) -> Table {
         let mut table = Table::new(&[
             "group",

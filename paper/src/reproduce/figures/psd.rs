@@ -1,4 +1,5 @@
-//! Section 4.5: power spectra of the residual wavefront before and after the segments are corrected.
+//! Section 4.5: power spectra of the residual wavefront before and after the segments are
+//! corrected.
 
 use super::corrected::{Amplitude, Bench, STATES, State, watch};
 use crate::experiment::metrics::{Psd, PsdAverage, control_half_width_per_m};
@@ -128,7 +129,8 @@ impl Psds {
             let middle = self.middle(&before.psd.ratio(&after.psd)?, step_per_m);
             maps.push((before.state.amplitude.map_or("", Amplitude::name), nm, step_per_m, middle));
         }
-        // What nearly all values lie within: the line is as dark as the scale goes, and does not stretch it.
+        // What nearly all values lie within: the line is as dark as the scale goes, and does not
+        // stretch it.
         let mut sizes: Vec<f64> = maps.iter().flat_map(|(.., map)| map.iter().map(|v| v.abs())).collect();
         sizes.retain(|size| size.is_finite());
         sizes.sort_by(f64::total_cmp);

@@ -19,7 +19,8 @@ pub(super) fn with_seed(scene: &Scene, seed: usize) -> Result<Scene> {
     scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])
 }
 
-/// A map over the footprint of `simulator` as `[y, x]` on its pupil's grid; NaN where there is no glass.
+/// A map over the footprint of `simulator` as `[y, x]` on its pupil's grid; NaN where there is no
+/// glass.
 pub(super) fn on_pupil(simulator: &Simulator, map: &[f32]) -> Array2<f64> {
     let stride = simulator.footprint().stride();
     let amplitude = &simulator.pupil().amplitude;

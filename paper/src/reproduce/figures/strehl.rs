@@ -1,4 +1,5 @@
-//! Section 4.5: the Strehl ratio in H before and after the segments are corrected, three ways, and the PSFs.
+//! Section 4.5: the Strehl ratio in H before and after the segments are corrected, three ways, and
+//! the PSFs.
 
 use super::corrected::{Bench, STATES, State, watch};
 use super::setup;
@@ -15,15 +16,20 @@ use std::path::Path;
 
 /// The paper's filter in H, nm.
 const WAVELENGTH_NM: f64 = 1640.0;
-/// Pixels per λ/11.25 m: 4 per FWHM of either pupil, whose core is 1.2 λ/11.25 m wide, and 780 samples to transform.
+/// Pixels per λ/11.25 m: 4 per FWHM of either pupil, whose core is 1.2 λ/11.25 m wide, and 780
+/// samples to transform.
 const SAMPLES_PER_LAMBDA_OVER_D: f64 = 3.25;
-/// Pixels a side: 37 λ/11.25 m to each side of the star, nearly four times as far as the mirror reaches.
+/// Pixels a side: 37 λ/11.25 m to each side of the star, nearly four times as far as the mirror
+/// reaches.
 const PIXELS: usize = 240;
-/// An image is made of every fourth frame: 4 ms apart, where the residual needs 50 ms to cross an actuator's pitch.
+/// An image is made of every fourth frame: 4 ms apart, where the residual needs 50 ms to cross an
+/// actuator's pitch.
 const IMAGE_EVERY: u64 = 4;
-/// PSFs that are summed by one worker: a fixed number, so that sums do not depend on how many there are.
+/// PSFs that are summed by one worker: a fixed number, so that sums do not depend on how many there
+/// are.
 const BATCH: usize = 16;
-/// Pixels a side that are drawn, and the darkest that differs from black, in powers of ten of the perfect peak.
+/// Pixels a side that are drawn, and the darkest that differs from black, in powers of ten of the
+/// perfect peak.
 const DRAWN: usize = 160;
 const DARKEST: f64 = -4.5;
 
@@ -48,11 +54,13 @@ pub struct StrehlDraw {
     pub energy: f64,
     /// By the OTF.
     pub otf: f64,
-    /// Peak over perfect peak, both of PSFs that sum to 1 over an unbounded detector: what is meant by a Strehl ratio. That
-    /// by energy is larger by the light that turbulence scatters out of the box.
+    /// Peak over perfect peak, both of PSFs that sum to 1 over an unbounded detector: what is meant
+    /// by a Strehl ratio. That by energy is larger by the light that turbulence scatters out of the
+    /// box.
     pub peak: f64,
-    /// By Maréchal's approximation over all frames, NCPA included: the lowest, for it takes the variance of the phase to be
-    /// the same all over the pupil, and turbulence that gathers at its edge costs less than that.
+    /// By Maréchal's approximation over all frames, NCPA included: the lowest, for it takes the
+    /// variance of the phase to be the same all over the pupil, and turbulence that gathers at its
+    /// edge costs less than that.
     pub marechal: f64,
 }
 
@@ -95,7 +103,8 @@ pub fn strehl(conditions: &Conditions, seeds: usize, progress: &Progress) -> Res
         }
     }
     draws.sort_by_key(|draw| place(&draw.state));
-    // A row for each amplitude: before and after its passes; what that compares with at the end of the first.
+    // A row for each amplitude: before and after its passes; what that compares with at the end of
+    // the first.
     let order = [0, 1, 5, 6, 2, 3, 4];
     let picture = MapsPicture {
         title: format!("PSFs at {WAVELENGTH_NM} nm over the perfect peak, one second, and their Strehl ratios"),
@@ -270,7 +279,8 @@ impl Strehls {
         &self.picture
     }
 
-    /// Strehl ratio (by energy) after all passes over that before, mean over draws: conventional, substantial.
+    /// Strehl ratio (by energy) after all passes over that before, mean over draws: conventional,
+    /// substantial.
     pub fn gain(&self) -> [f64; 2] {
         let of = |label: &str| {
             let draws = self.draws.iter().filter(|draw| draw.state.label() == label);

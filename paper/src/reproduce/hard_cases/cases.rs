@@ -39,7 +39,8 @@ pub struct HardCase {
     pub group: &'static str,
     /// Its name.
     pub name: &'static str,
-    /// What is different in the scene that makes the images from `keck-artificial` at two pixels per λ/D.
+    /// What is different in the scene that makes the images from `keck-artificial` at two pixels
+    /// per λ/D.
     pub made: Settings,
     /// What goes wrong between the telescope and the file.
     pub spoil: Spoil,
@@ -51,14 +52,16 @@ pub struct HardCase {
     pub draws: Draws,
 }
 
-/// The scene of all cases, beside the preset `keck-artificial`: two pixels per λ/D, which is all that an image holds.
+/// The scene of all cases, beside the preset `keck-artificial`: two pixels per λ/D, which is all
+/// that an image holds.
 pub(in crate::reproduce) const BASE: Settings = &[("image.samples_per_lambda_over_d", "2"), ("image.pixels", "240")];
 
 const fn case(group: &'static str, name: &'static str, made: Settings, spoil: Spoil, read: Settings) -> HardCase {
     HardCase { group, name, made, spoil, cards: &[], read, draws: Draws::AsAsked }
 }
 
-/// A strong aberration, or a star that is hard to see, read by a scene that knows all but the truth.
+/// A strong aberration, or a star that is hard to see, read by a scene that knows all but the
+/// truth.
 const fn strong(name: &'static str, made: Settings) -> HardCase {
     case("strong", name, made, Spoil::None, &[])
 }
@@ -105,7 +108,8 @@ const fn telemetry(name: &'static str, mismatch: Mismatch) -> HardCase {
     HardCase { draws: Draws::Once, ..case("telemetry", name, &[], Spoil::Telemetry(mismatch), &[]) }
 }
 
-/// What a detector reads beside the star, electrons a pixel: 0.1 and 1 % of a peak of 250,000 electrons.
+/// What a detector reads beside the star, electrons a pixel: 0.1 and 1 % of a peak of 250,000
+/// electrons.
 const BACKGROUNDS: [Settings; 2] = [&[("image.background_e", "250")], &[("image.background_e", "2500")]];
 /// Strong pistons behind a defocus too small to spread their light: where fits end in wrong minima.
 const WEAK_DEFOCUS: [Settings; 2] = [

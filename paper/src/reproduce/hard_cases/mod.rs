@@ -1,5 +1,5 @@
-//! Hard cases: strong aberrations, faint stars, models, files, telemetry and data that are wrong. Of each draw: is the answer
-//! right, and where it is not, does the status say so?
+//! Hard cases: strong aberrations, faint stars, models, files, telemetry and data that are wrong.
+//! Of each draw: is the answer right, and where it is not, does the status say so?
 
 mod cases;
 mod file;
@@ -27,13 +27,16 @@ pub struct HardCases {
     pub cases: Vec<(HardCase, Vec<Verdict>)>,
 }
 
-/// Tries `cases`, each on as many draws from 1 on as its [`Draws`] make of `seeds`, by the pipeline of `cophase estimate`.
+/// Tries `cases`, each on as many draws from 1 on as its [`Draws`] make of `seeds`, by the pipeline
+/// of `cophase estimate`.
 ///
-/// Every draw is read in double precision on the CPU; of a case of single images the first eight also in single precision, and
-/// the first on an OpenCL device where there is one, if they are right. Telemetry is read in the precision of its method.
+/// Every draw is read in double precision on the CPU; of a case of single images the first eight
+/// also in single precision, and the first on an OpenCL device where there is one, if they are
+/// right. Telemetry is read in the precision of its method.
 ///
 /// # Errors
-/// Those of making images, and [`cophase::Error::Interrupted`]. An estimator that refuses is no error but a verdict.
+/// Those of making images, and [`cophase::Error::Interrupted`]. An estimator that refuses is no
+/// error but a verdict.
 pub fn hard_cases(cases: &[HardCase], seeds: usize, progress: &Progress) -> Result<HardCases> {
     progress.expect(cases.iter().map(|case| case.draws.number(seeds)).sum());
     let base = Scene::preset("keck-artificial")?.with(BASE)?;
@@ -78,8 +81,8 @@ const IN_SINGLE: usize = 8;
 /// The estimators of one case.
 struct Readers {
     double: Estimator,
-    /// In single precision, and on a device in double precision; `None` for sequences and where optical parameters are fitted,
-    /// which take too long to be repeated.
+    /// In single precision, and on a device in double precision; `None` for sequences and where
+    /// optical parameters are fitted, which take too long to be repeated.
     others: Option<[Estimator; 2]>,
 }
 
@@ -115,7 +118,8 @@ impl Readers {
     }
 }
 
-/// Largest difference of a coefficient of two estimates of an image; `None` where the status differs.
+/// Largest difference of a coefficient of two estimates of an image; `None` where the status
+/// differs.
 fn off_nm(other: &Estimate, found: &Estimate) -> Option<f64> {
     (other.status == found.status).then(|| apart_nm(other, found))
 }

@@ -24,8 +24,9 @@ impl HardCases {
         self.cases.iter().flat_map(|(_, verdicts)| verdicts).filter(|verdict| test(verdict)).count()
     }
 
-    /// One line a case: how many draws are right and how many flagged, medians of the residuals, their error bars, χ²
-    /// and evaluations, and the largest differences in single precision and on a device among the draws that are right.
+    /// One line a case: how many draws are right and how many flagged, medians of the residuals,
+    /// their error bars, χ² and evaluations, and the largest differences in single precision and on
+    /// a device among the draws that are right.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "group",
@@ -55,7 +56,8 @@ impl HardCases {
     /// Residual of each draw against its error bar, by what was said of it.
     pub fn picture(&self) -> CurvePicture {
         let all: Vec<&Verdict> = self.cases.iter().flat_map(|(_, verdicts)| verdicts).collect();
-        // Kinds of few draws over those of many; each has its colour, and those set apart are diamonds.
+        // Kinds of few draws over those of many; each has its colour, and those set apart are
+        // diamonds.
         let kinds: [(&str, Test, usize, Marker); 6] = [
             ("right, and said to be", |v| v.is_right() && !v.is_flagged(), 0, Marker::Disc),
             ("right, but flagged", |v| v.is_right() && v.is_flagged(), 1, Marker::Disc),

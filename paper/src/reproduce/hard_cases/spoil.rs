@@ -125,7 +125,8 @@ pub(in crate::reproduce) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
     Ok(Made { images_e, truth, flip })
 }
 
-/// The frames flipped along `axis` about the optical axis, which is on pixel N/2: the first line has no counterpart.
+/// The frames flipped along `axis` about the optical axis, which is on pixel N/2: the first line
+/// has no counterpart.
 pub(in crate::reproduce) fn flipped<D: RemoveAxis>(frames: &Array<f64, D>, axis: Axis) -> Array<f64, D> {
     let n = frames.len_of(axis);
     let sources: Vec<usize> = (0..n).map(|at| (n - at) % n).collect();
@@ -160,8 +161,8 @@ fn detector(mut image_e: ArrayViewMut2<f64>, spoil: Spoil, rng: &mut impl RngExt
     }
 }
 
-/// `map` turned counter-clockwise about its middle, by three shears (Unser, Thévenaz and Yaroslavsky 1995): exact for what
-/// the pixels hold, but for the corners.
+/// `map` turned counter-clockwise about its middle, by three shears (Unser, Thévenaz and
+/// Yaroslavsky 1995): exact for what the pixels hold, but for the corners.
 fn rotated(map: Array2<f64>, angle_rad: f64) -> Array2<f64> {
     let (along_x, along_y) = (-(angle_rad / 2.0).tan(), angle_rad.sin());
     let middle = map.nrows() as f64 / 2.0;
@@ -170,7 +171,8 @@ fn rotated(map: Array2<f64>, angle_rad: f64) -> Array2<f64> {
     sheared(sheared(once, Axis(0), shear(along_y)), Axis(1), shear(along_x))
 }
 
-/// `map` with each line along `axis` moved by what `shift` says of it, pixels, by Fourier interpolation.
+/// `map` with each line along `axis` moved by what `shift` says of it, pixels, by Fourier
+/// interpolation.
 fn sheared(mut map: Array2<f64>, axis: Axis, shift: impl Fn(usize) -> f64) -> Array2<f64> {
     let n = map.len_of(axis);
     let (forward, inverse) = plan_both(n);
@@ -207,7 +209,8 @@ mod tests {
         assert!(far(moved, spot(1.5, 1.75)) < 1e-6);
         assert!(far(flipped(&spot(-1.0, 2.0), Axis(1)), spot(1.0, 2.0)) < 1e-12);
         assert!(far(flipped(&spot(-1.0, 2.0), Axis(0)), spot(-1.0, -2.0)) < 1e-12);
-        // A quarter of a turn takes x to y; the shears of so large an angle stay within the grid for a spot near its middle.
+        // A quarter of a turn takes x to y; the shears of so large an angle stay within the grid
+        // for a spot near its middle.
         let turned = rotated(spot(3.0, 0.0), 0.5);
         assert!(far(turned, spot(3.0 * 0.5f64.cos(), 3.0 * 0.5f64.sin())) < 1e-5);
     }

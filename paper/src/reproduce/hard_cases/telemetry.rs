@@ -1,4 +1,5 @@
-//! Slopes that do not belong to the images: a short sequence behind adaptive optics, read with its telemetry.
+//! Slopes that do not belong to the images: a short sequence behind adaptive optics, read with its
+//! telemetry.
 
 use super::cases::Settings;
 use super::spoil::{Mismatch, flipped};
@@ -12,7 +13,8 @@ use cophase::scene::Scene;
 use cophase::{Estimator, Images};
 use ndarray::{Array2, Axis, concatenate, s};
 
-/// Beside the preset `keck-onsky`: seven segments behind a small sensor, so that five exposures are made and read in seconds.
+/// Beside the preset `keck-onsky`: seven segments behind a small sensor, so that five exposures are
+/// made and read in seconds.
 const SMALL: Settings = &[
     ("pupil.aperture", "hexagonal"),
     ("pupil.rings", "1"),
@@ -57,7 +59,8 @@ pub(super) fn verdict(mismatch: Mismatch, seed: usize, progress: &Progress) -> R
     Verdict::of(Estimator::new(&scene)?.estimate(&images), |found| Ok(Verdict::by_maps(found)))
 }
 
-/// The measured slopes, `[image, slope]`, all along x and then all along y, with what is wrong with them.
+/// The measured slopes, `[image, slope]`, all along x and then all along y, with what is wrong with
+/// them.
 fn mismatched(slopes_mas: Array2<f64>, mismatch: Mismatch) -> Array2<f64> {
     let (images, slopes) = slopes_mas.dim();
     match mismatch {

@@ -11,10 +11,12 @@ use cophase::{Error, Estimate, Result};
 use ndarray::{Array1, Array2, Axis};
 use std::borrow::Cow;
 
-/// Residuals up to so many times what the error bars make one expect are right: of a hundred modes their RMS scatters by
-/// 7 %, of a few (a focus that dominates) it stays within this in all but one of three hundred.
+/// Residuals up to so many times what the error bars make one expect are right: of a hundred modes
+/// their RMS scatters by 7 %, of a few (a focus that dominates) it stays within this in all but one
+/// of three hundred.
 const SIGMAS: f64 = 3.0;
-/// Residuals up to this are right with any error bars, nm: λ/2000, where the sampling of the model shows.
+/// Residuals up to this are right with any error bars, nm: λ/2000, where the sampling of the model
+/// shows.
 const ALWAYS_RIGHT_NM: f64 = 1.0;
 
 /// Word of an estimate without a warning.
@@ -25,17 +27,18 @@ const MAY_BE_FLIPPED: &str = "orientation cannot be verified";
 /// What became of one image, or of one sequence.
 #[derive(Debug, Clone)]
 pub struct Verdict {
-    /// One word: the status of the estimate, `warned` where it is ok and the estimate has a warning, or `refused`.
+    /// One word: the status of the estimate, `warned` where it is ok and the estimate has a
+    /// warning, or `refused`.
     pub word: Cow<'static, str>,
     /// The sentence of a refusal.
     pub sentence: Option<String>,
     /// Residuals of phasing (modulo a wavelength) and NCPA, nm; NaN without an estimate.
     pub error_nm: [f64; 2],
-    /// Residual of the NCPA without what an error of the diversity's amplitude would make of it, nm, where the estimator says
-    /// that its modes take that for their own; NaN where they do not.
+    /// Residual of the NCPA without what an error of the diversity's amplitude would make of it,
+    /// nm, where the estimator says that its modes take that for their own; NaN where they do not.
     pub ncpa_but_diversity_nm: f64,
-    /// Residuals against the truth flipped as the images are, where they are and the estimator says that it cannot verify the
-    /// orientation; NaN elsewhere.
+    /// Residuals against the truth flipped as the images are, where they are and the estimator says
+    /// that it cannot verify the orientation; NaN elsewhere.
     pub flipped_nm: [f64; 2],
     /// What the error bars make one expect of them, nm.
     pub sigma_nm: [f64; 2],
@@ -43,7 +46,8 @@ pub struct Verdict {
     pub reduced_chi2: f64,
     /// Evaluations of objective and gradient, all images together.
     pub evaluations: usize,
-    /// Largest difference of a coefficient in single precision, nm; NaN where it was not tried, or where the status differs.
+    /// Largest difference of a coefficient in single precision, nm; NaN where it was not tried, or
+    /// where the status differs.
     pub f32_nm: f64,
     /// The same on an OpenCL device, in double precision.
     pub opencl_nm: f64,
@@ -69,13 +73,14 @@ impl Verdict {
         self.within(0, self.error_nm[0]) && self.within(1, self.error_nm[1])
     }
 
-    /// Whether it is right but for what the estimator says it cannot know: the diversity's amplitude, which it takes from the
-    /// scene.
+    /// Whether it is right but for what the estimator says it cannot know: the diversity's
+    /// amplitude, which it takes from the scene.
     pub fn is_right_given_diversity(&self) -> bool {
         !self.is_right() && self.within(0, self.error_nm[0]) && self.within(1, self.ncpa_but_diversity_nm)
     }
 
-    /// Whether the maps are right but for the flip of the images, which the estimator says it cannot know.
+    /// Whether the maps are right but for the flip of the images, which the estimator says it
+    /// cannot know.
     pub fn is_right_given_orientation(&self) -> bool {
         !self.is_right() && self.within(0, self.flipped_nm[0]) && self.within(1, self.flipped_nm[1])
     }
@@ -89,7 +94,8 @@ impl Verdict {
         self.word != OK
     }
 
-    /// What must not be: wrong, said to be right, and by more than what the estimate says beside it that it cannot know.
+    /// What must not be: wrong, said to be right, and by more than what the estimate says beside it
+    /// that it cannot know.
     pub fn is_wrong_and_unflagged(&self) -> bool {
         !self.is_right() && !self.is_flagged() && !self.is_right_given_diversity() && !self.is_right_given_orientation()
     }
@@ -134,7 +140,8 @@ impl Verdict {
         Ok(verdict)
     }
 
-    /// Of an estimate whose images came with their truth, by its maps: a MAP estimate has no fitter.
+    /// Of an estimate whose images came with their truth, by its maps: a MAP estimate has no
+    /// fitter.
     pub(super) fn by_maps(found: &Estimate) -> Self {
         let error_nm = found.truth.as_ref().map_or([f64::INFINITY; 2], |(_, apart)| [apart.rms_nm[0], apart.rms_nm[1]]);
         Self { error_nm, ..Self::own_figures(found) }
@@ -183,7 +190,8 @@ struct Behind {
 }
 
 impl Behind {
-    /// `truth`, flipped along an axis. A pupil that looks the same when flipped has a grid that is symmetric about its middle.
+    /// `truth`, flipped along an axis. A pupil that looks the same when flipped has a grid that is
+    /// symmetric about its middle.
     ///
     /// # Errors
     /// [`Error::Shape`] for a truth of another telescope.
@@ -205,8 +213,8 @@ fn fitter(found: &Estimate) -> Result<&ModalFitter> {
     Ok(&modal.fitter)
 }
 
-/// Residuals of phasing, of NCPA, and of NCPA less the best multiple of the diversity, nm; the last is NaN where the modes
-/// do not span the diversity.
+/// Residuals of phasing, of NCPA, and of NCPA less the best multiple of the diversity, nm; the last
+/// is NaN where the modes do not span the diversity.
 fn errors_nm(fitter: &ModalFitter, coefficients_nm: &[f64], behind: &Behind) -> Result<[f64; 3]> {
     let model = fitter.model();
     let pupil = &model.telescope.pupil;
@@ -241,7 +249,8 @@ pub(super) fn apart_nm(one: &Estimate, other: &Estimate) -> f64 {
     near_nm.iter().zip(&other.modes.coefficients_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// The coefficients with each piston moved by the whole wavelengths that no monochromatic image can tell.
+/// The coefficients with each piston moved by the whole wavelengths that no monochromatic image can
+/// tell.
 fn nearest(fitter: &ModalFitter, coefficients_nm: &[f64], piston_nm: &[f64]) -> Vec<f64> {
     let model = fitter.model();
     let wavelength_nm = model.optics.parts().wavelength_nm;

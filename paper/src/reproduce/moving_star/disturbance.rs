@@ -9,7 +9,8 @@ use std::f64::consts::TAU;
 /// Time between images, s.
 pub(super) const INTERVAL_S: f64 = 80.0;
 
-/// Segments of the telescope, and Zernikes of its NCPA, first and last Noll index: tip, tilt, focus, ...
+/// Segments of the telescope, and Zernikes of its NCPA, first and last Noll index: tip, tilt,
+/// focus, ...
 pub const SEGMENTS: usize = 36;
 pub const NOLLS: std::ops::RangeInclusive<usize> = 2..=18;
 /// Places of tip and focus among them.
@@ -17,9 +18,11 @@ const TIP: usize = SEGMENTS;
 const FOCUS: usize = SEGMENTS + 2;
 /// Drift of each piston and each Zernike coefficient but tip and tilt, nm/√h.
 const DRIFT_NM_PER_SQRT_HOUR: f64 = 5.0;
-/// Tip of one pixel, nm RMS over the circle of the Zernikes: λ/4 for each λ/D, of which a pixel is a half.
+/// Tip of one pixel, nm RMS over the circle of the Zernikes: λ/4 for each λ/D, of which a pixel is
+/// a half.
 const NM_PER_PIXEL: f64 = 2168.6 / 8.0;
-/// Motion of the star, pixels RMS along each axis, and largest where it goes far; of the focus, nm RMS; of the flux, largest fraction.
+/// Motion of the star, pixels RMS along each axis, and largest where it goes far; of the focus, nm
+/// RMS; of the flux, largest fraction.
 const STAR_PIXELS: f64 = 0.5;
 const FAR_PIXELS: f64 = 4.0;
 const FOCUS_NM: f64 = 5.0;
@@ -141,7 +144,8 @@ impl Disturbance {
 pub struct MovingRow {
     /// What moves.
     pub disturbance: Disturbance,
-    /// Signal-to-noise ratio of the brightest pixel: 25 leaves 4 nm in a piston from one image, 500 some tenths.
+    /// Signal-to-noise ratio of the brightest pixel: 25 leaves 4 nm in a piston from one image, 500
+    /// some tenths.
     pub peak_snr: &'static str,
 }
 

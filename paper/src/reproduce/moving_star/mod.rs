@@ -1,4 +1,5 @@
-//! Nights in which much moves that is no step of the wavefront: the star, the focus, the flux. What the tracker takes for a step is a false alarm.
+//! Nights in which much moves that is no step of the wavefront: the star, the focus, the flux. What
+//! the tracker takes for a step is a false alarm.
 //!
 //! ```text
 //! Disturbance ─ images (a camera on a finer grid, bad pixels) ─ session, one fit an image ─ Tracker, as a watch feeds it ─ alarms

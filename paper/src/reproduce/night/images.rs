@@ -16,8 +16,8 @@ use rayon::prelude::*;
 const BATCH: usize = 64;
 /// Random numbers of the noise begin at this number above the frame's.
 const NOISE_STREAMS: u64 = 1_000;
-/// A saturated frame is cut at this fraction of its peak; a cosmic ray leaves so many times the peak, in so many pixels; a shifted star is so
-/// many pixels off.
+/// A saturated frame is cut at this fraction of its peak; a cosmic ray leaves so many times the
+/// peak, in so many pixels; a shifted star is so many pixels off.
 const SATURATED: f64 = 0.4;
 const COSMIC_PEAKS: f64 = 5.0;
 const COSMIC_PIXELS: usize = 30;

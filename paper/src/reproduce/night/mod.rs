@@ -20,8 +20,10 @@ use cophase::scene::Scene;
 use cophase::{Error, Result};
 use images::Cameraman;
 
-/// The telescope: Keck, an artificial source, half of the preset's sampling and two thirds of its pupil grid, so that a night takes
-/// minutes. A peak S/N of 25 gives errors of some nm from one image; brighter, tracking would have nothing to gain. All NCPA modes that are estimated drift alike.
+/// The telescope: Keck, an artificial source, half of the preset's sampling and two thirds of its
+/// pupil grid, so that a night takes minutes. A peak S/N of 25 gives errors of some nm from one
+/// image; brighter, tracking would have nothing to gain. All NCPA modes that are estimated drift
+/// alike.
 const SETTINGS: [(&str, &str); 11] = [
     ("pupil.samples", "80"),
     ("image.samples_per_lambda_over_d", "2"),
@@ -35,7 +37,8 @@ const SETTINGS: [(&str, &str); 11] = [
     ("aberrations.ncpa_rms_nm", "40"),
     ("aberrations.truth_samples", "240"),
 ];
-/// False alarms a night that are asked for, and, to see enough of them in one night with images, of a second tracker.
+/// False alarms a night that are asked for, and, to see enough of them in one night with images, of
+/// a second tracker.
 const ASKED: f64 = 1.0;
 const ASKED_LOUD: f64 = 40.0;
 
@@ -49,7 +52,8 @@ pub struct Night {
     pub loud_false_alarms: usize,
     /// What it was asked for, in the length of this night.
     pub loud_asked: f64,
-    /// Root of the mean square of (estimate − truth)/σ of the single images along the principal directions.
+    /// Root of the mean square of (estimate − truth)/σ of the single images along the principal
+    /// directions.
     pub single_pull: f64,
     /// Mean time of an image's fit with its error bars, s.
     pub fit_s: f64,
@@ -57,7 +61,8 @@ pub struct Night {
     pub quiet: QuietNights,
 }
 
-/// A night of 8 hours with an image every 10 s, an eighth of one if `quick`, and `nights` without images.
+/// A night of 8 hours with an image every 10 s, an eighth of one if `quick`, and `nights` without
+/// images.
 ///
 /// # Errors
 /// Those of simulation and estimator; [`Error::Interrupted`].

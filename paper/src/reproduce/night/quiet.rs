@@ -1,4 +1,5 @@
-//! Nights without jumps and without images: estimates drawn from the covariance of the images' estimates.
+//! Nights without jumps and without images: estimates drawn from the covariance of the images'
+//! estimates.
 
 use super::scenario::{DRIFT_NM_PER_SQRT_HOUR, INTERVAL_S, normal};
 use super::track::settings;

@@ -10,7 +10,8 @@ pub const INTERVAL_S: f64 = 10.0;
 pub const DRIFT_NM_PER_SQRT_HOUR: f64 = 5.0;
 /// Zernikes of the NCPA, first and last Noll index.
 pub const NOLLS: std::ops::RangeInclusive<usize> = 4..=18;
-/// Flux of the second star, over that of the first; and the least flux below clouds, over that without.
+/// Flux of the second star, over that of the first; and the least flux below clouds, over that
+/// without.
 const SECOND_STAR: f64 = 0.5;
 const CLOUDS: f64 = 0.1;
 
@@ -78,7 +79,8 @@ impl Scenario {
         self.frames as f64 * INTERVAL_S / 3600.0
     }
 
-    /// Flux of a frame, over that of the first star without clouds: another star from 60 % of the night on, and clouds between 80 and 90 %.
+    /// Flux of a frame, over that of the first star without clouds: another star from 60 % of the
+    /// night on, and clouds between 80 and 90 %.
     pub fn flux(&self, frame: usize) -> f64 {
         let place = frame as f64 / self.frames as f64;
         let star = if place < 0.6 { 1.0 } else { SECOND_STAR };

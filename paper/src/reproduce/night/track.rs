@@ -62,7 +62,8 @@ impl Followed {
             if let Some(estimate) = estimate {
                 seen.single_nm = error(&estimate.coefficients_nm)?;
                 seen.verdict = estimate.status;
-                // As a service does: a fit that the model does not explain is refused before it is tracked.
+                // As a service does: a fit that the model does not explain is refused before it is
+                // tracked.
                 if estimate.status == "ok" {
                     let update = tracker.update(TimedEstimate {
                         time_s: frame as f64 * INTERVAL_S,
@@ -98,7 +99,8 @@ impl Followed {
         self.changes.len() - self.changes.iter().filter(is_true).count()
     }
 
-    /// Errors of the used images, root of the mean square: single and tracked, phasing (0) or NCPA (1).
+    /// Errors of the used images, root of the mean square: single and tracked, phasing (0) or NCPA
+    /// (1).
     pub fn rms_nm(&self, part: usize) -> [f64; 2] {
         let used = || self.frames.iter().filter(|frame| frame.is_used);
         let of = |value: &dyn Fn(&TrackedFrame) -> f64| rms(&used().map(value).collect::<Vec<f64>>());
@@ -114,7 +116,8 @@ impl Followed {
     }
 }
 
-/// Root of the mean square step of a mode between images without a jump, over the root of the time: segments and NCPA, nm/√h.
+/// Root of the mean square step of a mode between images without a jump, over the root of the time:
+/// segments and NCPA, nm/√h.
 fn true_drift(scenario: &Scenario, truth_nm: &[Vec<f64>]) -> [f64; 2] {
     let is_quiet = |frame: usize| scenario.jumps.iter().all(|jump| jump.frame != frame);
     let steps = |modes: std::ops::Range<usize>| {

@@ -1,8 +1,9 @@
 //! Leak of the segments into the mirror behind a pyramid, at rest and behind turbulence.
 //!
-//! Behind turbulence the optical gains reduce the slopes of the segments' steps and those of the mirror by different factors, so that the
-//! mirror rests elsewhere. Twin loops, with the segments and with even ones, have the same turbulence: the difference of
-//! their mean commands is what the segments do, and the turbulence cancels in it.
+//! Behind turbulence the optical gains reduce the slopes of the segments' steps and those of the
+//! mirror by different factors, so that the mirror rests elsewhere. Twin loops, with the segments
+//! and with even ones, have the same turbulence: the difference of their mean commands is what the
+//! segments do, and the turbulence cancels in it.
 
 use crate::reproduce::figures::{settled_commands_nm, wavefront_maps};
 use crate::reproduce::statistics::{mean, rms, standard_deviation};
@@ -18,7 +19,8 @@ const MODULATIONS: [f64; 3] = [3.0, 5.0, 10.0];
 /// Fried parameters at 500 nm, m.
 const R0_M: [f64; 2] = [0.16, 0.10];
 const BASES: [&str; 2] = ["kl", "zonal"];
-/// Frames until the loop has closed and the first optical gains are measured: a window of the dither.
+/// Frames until the loop has closed and the first optical gains are measured: a window of the
+/// dither.
 const SETTLING: u64 = 1000;
 /// Frames of the mean: another window, so that the sines of the dither have none.
 const AVERAGED: u64 = 1000;
@@ -71,7 +73,8 @@ pub(super) fn cases(conditions: &Conditions, is_quick: bool) -> Result<Vec<LeakC
     BASES.into_iter().flat_map(|basis| MODULATIONS.map(|modulation| case(basis, modulation))).collect()
 }
 
-/// Closes the loops of `cases` on the pistons of draws 1 to `seeds`. Loops of other processes' parts have no draws.
+/// Closes the loops of `cases` on the pistons of draws 1 to `seeds`. Loops of other processes'
+/// parts have no draws.
 ///
 /// # Errors
 /// Those of the simulator; [`cophase::Error::Interrupted`].
@@ -98,7 +101,8 @@ pub(super) fn leak(cases: &[LeakCase], seeds: usize, progress: &Progress) -> Res
 }
 
 impl LeakCase {
-    /// RMS of the segments' errors; then, without turbulence and for each of [`R0_M`], of the leak and of its change, nm.
+    /// RMS of the segments' errors; then, without turbulence and for each of [`R0_M`], of the leak
+    /// and of its change, nm.
     fn draw(&self, seed: usize, progress: &Progress) -> Result<Vec<f64>> {
         let seed = seed.to_string();
         let scene = self.scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?;
@@ -140,7 +144,8 @@ fn mean_commands_nm(scene: &Scene, progress: &Progress) -> Result<Vec<f64>> {
     Ok(sums_nm)
 }
 
-/// RMS of the segments' errors, of the mirror's surface for these commands, and of what is between them, nm.
+/// RMS of the segments' errors, of the mirror's surface for these commands, and of what is between
+/// them, nm.
 fn rms_of_maps(simulator: &mut Simulator, commands_nm: &[f32]) -> Result<[f64; 3]> {
     let maps_nm = wavefront_maps(simulator, commands_nm)?;
     let pupil = simulator.pupil();
@@ -152,7 +157,8 @@ fn rms_of_maps(simulator: &mut Simulator, commands_nm: &[f32]) -> Result<[f64; 3
 }
 
 impl PyramidLeak {
-    /// One line for each loop and Fried parameter: means over the draws, and the change's RMS over them.
+    /// One line for each loop and Fried parameter: means over the draws, and the change's RMS over
+    /// them.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "basis",

@@ -1,4 +1,5 @@
-//! The paper's table behind a pyramid sensor: residuals of modal fits and of full-phase estimates, and the leak of the segments into the mirror.
+//! The paper's table behind a pyramid sensor: residuals of modal fits and of full-phase estimates,
+//! and the leak of the segments into the mirror.
 //!
 //! ```text
 //! rows ─ on_sky ─┬─ draws (modal fits, as in the paper's table; full-phase estimate) ─┬─ table
@@ -18,8 +19,9 @@ use super::table_rows::{Conditions, LoopSensor, Published, Row, behind_the_loop}
 use super::{Progress, RowResult};
 use cophase::{Error, Result};
 
-/// Images of a sequence, as of the rows of `beyond`, and their distance. Between images the wavefront behind the loop decorrelates: a lenslet's
-/// width passes in 0.1 s at the slowest wind. The paper's 0.3 s would take half as many frames again.
+/// Images of a sequence, as of the rows of `beyond`, and their distance. Between images the
+/// wavefront behind the loop decorrelates: a lenslet's width passes in 0.1 s at the slowest wind.
+/// The paper's 0.3 s would take half as many frames again.
 const SETTINGS: [(&str, &str); 2] = [("image.count", "75"), ("image.interval_s", "0.2")];
 
 /// The rows of images.
@@ -49,7 +51,8 @@ pub struct PyramidParts {
 }
 
 impl PyramidParts {
-    /// The parts of these names: those of [`PYRAMID_ROWS`] and `leak`; none are all, of a quick look the first two rows and the leak.
+    /// The parts of these names: those of [`PYRAMID_ROWS`] and `leak`; none are all, of a quick
+    /// look the first two rows and the leak.
     ///
     /// # Errors
     /// [`Error::Value`] for another name.

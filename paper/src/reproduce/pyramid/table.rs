@@ -45,8 +45,8 @@ impl PyramidTable {
         self.modal.rows.iter().zip(&self.full_phase).filter(|(_, readings)| !readings.is_empty())
     }
 
-    /// One line a row: residuals of modal fits as means over the draws; of full-phase estimates mean and worst, and the RMS of residual over
-    /// error bar.
+    /// One line a row: residuals of modal fits as means over the draws; of full-phase estimates
+    /// mean and worst, and the RMS of residual over error bar.
     pub fn table(&self) -> Table {
         let mut table = Table::new(&[
             "row",
@@ -84,7 +84,8 @@ impl PyramidTable {
         table
     }
 
-    /// The full-phase estimates, one line a row and a seed; the modal fits are in the table of draws that the paper's table has, too.
+    /// The full-phase estimates, one line a row and a seed; the modal fits are in the table of
+    /// draws that the paper's table has, too.
     pub fn full_phase_draws(&self) -> Table {
         let mut table = Table::new(&[
             "row",

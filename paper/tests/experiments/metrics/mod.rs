@@ -8,8 +8,8 @@ use cophase::scene::Scene;
 use cophase::telescope::Telescope;
 use ndarray::Array2;
 
-/// Pupil of the scene `keck-onsky` (36 segments, partly covered samples at edges) on a grid of 20 lenslets of 12
-/// samples.
+/// Pupil of the scene `keck-onsky` (36 segments, partly covered samples at edges) on a grid of 20
+/// lenslets of 12 samples.
 fn keck() -> Pupil {
     let telescope = Telescope::new(&Scene::preset("keck-onsky").unwrap()).unwrap();
     telescope.pupil_on(Grid::new(240, 11.25).unwrap()).unwrap()

@@ -53,7 +53,8 @@ fn the_integral_is_the_variance_over_the_pupil_exactly() {
         };
         let expected: f64 = maps.iter().map(variance).sum();
         let psd = spectrum(&pupil, padding, &maps);
-        // Parseval on 57600 samples and as many frequencies; the mean of 1000 nm rounds to 1e-13 nm.
+        // Parseval on 57600 samples and as many frequencies; the mean of 1000 nm rounds to 1e-13
+        // nm.
         assert!((psd.variance_nm2() / expected - 1.0).abs() < 1e-13, "{padding} {}", maps.len());
         assert!((psd.step_per_m() * pupil.grid.width_m() * padding as f64 - 1.0).abs() < 1e-15);
     }
@@ -98,7 +99,8 @@ fn a_sine_has_two_lines_of_half_its_variance_each() {
         for ((y, x), density) in psd.density_nm2_m2().indexed_iter() {
             let on_line = [(axis - 3, axis + 5), (axis + 3, axis - 5)].contains(&(y, x));
             let expected = if on_line { 30.0f64.powi(2) / 4.0 / psd.step_per_m().powi(2) } else { 0.0 };
-            // Lines of 8100 nm²·m², rounding in the last two or three digits; elsewhere that squared, 1e-26.
+            // Lines of 8100 nm²·m², rounding in the last two or three digits; elsewhere that
+            // squared, 1e-26.
             assert!((density - expected).abs() < 1e-10, "{y} {x}: {density}");
         }
         assert!((psd.frequency_per_m(axis + 5) - 5.0 / 6.0).abs() < 1e-15 && psd.frequency_per_m(axis) == 0.0);
@@ -131,21 +133,25 @@ fn white_noise_is_flat() {
     let expected = pupil.grid.pitch_m().powi(2);
     let rings = psd.rings();
     assert_eq!((rings.samples.len(), rings.samples[0]), (121, 1));
-    // Without the piston of each map the density at frequency 0, and within the pupil's PSF of it, is 0.
+    // Without the piston of each map the density at frequency 0, and within the pupil's PSF of it,
+    // is 0.
     for ring in 4..=120 {
-        // Exponentially distributed powers: a ring of n samples has n/2 independent ones per map (±f are equal), and
-        // the window, which fills 0.6 of the grid, leaves 0.6 of these independent: 5σ.
+        // Exponentially distributed powers: a ring of n samples has n/2 independent ones per map
+        // (±f are equal), and the window, which fills 0.6 of the grid, leaves 0.6 of these
+        // independent: 5σ.
         let free = 0.6 * rings.samples[ring] as f64 / 2.0 * MAPS as f64;
         let departure = rings.density_nm2_m2[ring] / expected - 1.0;
         assert!(departure.abs() < 5.0 / free.sqrt(), "ring {ring}: {departure}");
         assert!((rings.frequency_per_m[ring] / psd.step_per_m() - ring as f64).abs() < 0.5);
     }
-    // A box of a quarter of the side holds a sixteenth. 57600·0.6/16/2·200 free powers, less the piston's 1/2160 of it.
+    // A box of a quarter of the side holds a sixteenth. 57600·0.6/16/2·200 free powers, less the
+    // piston's 1/2160 of it.
     let fraction = fraction_within(&psd, psd.step_per_m() * 30.0);
     assert!((fraction * 16.0 - 1.0).abs() < 5.0 / 216_000f64.sqrt() + 1.0 / 1500.0, "{fraction}");
 }
 
-/// Draws two independent periodic screens with the spectrum of `turbulence`, `side` samples of `pitch_m`, nm.
+/// Draws two independent periodic screens with the spectrum of `turbulence`, `side` samples of
+/// `pitch_m`, nm.
 fn screens(turbulence: &VonKarman, side: usize, pitch_m: f64, random: &mut ChaCha8Rng) -> [Array2<f64>; 2] {
     let step = 1.0 / (side as f64 * pitch_m);
     let frequency = |k: usize| step * (if 2 * k <= side { k as f64 } else { k as f64 - side as f64 });
@@ -173,7 +179,8 @@ fn a_taper_recovers_the_spectrum_of_von_karman_turbulence() {
     let mut plain = PsdAverage::new(&pupil, 1).unwrap();
     let mut variance = 0.0;
     for _ in 0..6 {
-        // 960 samples are 45 m, more than twice the outer scale: 16 neighbouring pupils are nearly independent.
+        // 960 samples are 45 m, more than twice the outer scale: 16 neighbouring pupils are nearly
+        // independent.
         for screen in screens(&turbulence, 960, pupil.grid.pitch_m(), &mut random) {
             for tile in screen.exact_chunks((240, 240)) {
                 tapered.add(tile).unwrap();
@@ -191,8 +198,9 @@ fn a_taper_recovers_the_spectrum_of_von_karman_turbulence() {
         let (measured, count) = ratio_to_theory(&tapered, &turbulence, rings.clone());
         let (leaking, _) = ratio_to_theory(&plain, &turbulence, rings.clone());
         println!("rings {rings:?}: {measured:.4} of theory through the taper, {leaking:.2} without");
-        // A Hann window broadens by 1/3 of a squared step along each axis: for f^(−11/3) the excess is
-        // (1/6)·(11/3)²/ring². In addition 5σ of exponentially distributed powers, ±f being equal.
+        // A Hann window broadens by 1/3 of a squared step along each axis: for f^(−11/3) the excess
+        // is (1/6)·(11/3)²/ring². In addition 5σ of exponentially distributed powers, ±f being
+        // equal.
         let tolerance = 2.3 / (rings.start as f64).powi(2) + 5.0 / (independent * count / 2.0 * maps).sqrt();
         assert!((measured - 1.0).abs() < tolerance, "{measured} {tolerance}");
         // The leakage falls as f^−3, slower than the spectrum.
@@ -228,7 +236,8 @@ fn the_control_box_weights_steps_by_the_fraction_inside() {
         assert!((all - 1.0).abs() < 1e-12, "{all}");
     }
     let alternating = map(&pupil, |x, _| ((x / pupil.grid.pitch_m()).floor() as i64).rem_euclid(2) as f64);
-    // The Nyquist frequency of an even grid is its own mirror image, and lies within the largest box.
+    // The Nyquist frequency of an even grid is its own mirror image, and lies within the largest
+    // box.
     let psd = spectrum(&pupil, 1, &[alternating]);
     assert!((fraction_within(&psd, 120.0 * psd.step_per_m()) - 1.0).abs() < 1e-12);
     assert!(fraction_within(&psd, 119.4 * psd.step_per_m()) < 1e-12);
@@ -245,8 +254,8 @@ fn the_ratio_of_spectra_is_the_squared_ratio_of_wavefronts() {
             assert!(ratio.is_nan());
             continue;
         }
-        // The transforms have errors of about 1e-15 of the largest value; the smallest of 57600 exponentially
-        // distributed powers is 1e-5 of the mean, its amplitude 3e-3 of it.
+        // The transforms have errors of about 1e-15 of the largest value; the smallest of 57600
+        // exponentially distributed powers is 1e-5 of the mean, its amplitude 3e-3 of it.
         assert!((ratio - 9.0).abs() < 1e-9, "{y} {x}: {ratio}");
     }
     assert!(before.ratio(&spectrum(&pupil, 2, &[Array2::zeros((240, 240))])).is_err());

@@ -13,8 +13,8 @@ use std::f64::consts::PI;
 /// H and K', nm.
 const BANDS_NM: [f64; 2] = [1633.0, 2124.0];
 const PIXELS: usize = 256;
-/// Pixels per λ/(width of the grid), which is a little less than λ/D: the OTF of the scene's pupil ends within the
-/// cut-off.
+/// Pixels per λ/(width of the grid), which is a little less than λ/D: the OTF of the scene's pupil
+/// ends within the cut-off.
 const SAMPLING: f64 = 4.0;
 
 /// Pupil, and the transform of its wavefronts to PSFs of sum 1 over an unbounded detector.
@@ -51,7 +51,8 @@ impl Telescope {
         self.psf(&Array2::zeros(self.pupil.amplitude.dim()), BANDS_NM[0])
     }
 
-    /// Smooth aberration without piston, tip and tilt, of `rms_nm`: focus, astigmatism, coma and higher orders.
+    /// Smooth aberration without piston, tip and tilt, of `rms_nm`: focus, astigmatism, coma and
+    /// higher orders.
     fn smooth(&self, rms_nm: f64) -> Array2<f64> {
         let shape = |x: f64, y: f64| (x * x + y * y) - 0.7 * x * y + 0.3 * x * (x * x + y * y) + 2.0 * (2.1 * y).sin();
         self.scaled(map(&self.pupil, shape), rms_nm)
@@ -100,14 +101,16 @@ fn three_methods_agree_to_fourth_order_for_small_aberrations() {
             println!(
                 "{wavelength_nm} nm, {rms_nm} nm: {by_energy:.5} {by_otf:.5} {by_marechal:.5} on axis {on_axis:.5}"
             );
-            // Without noise the two methods differ only by the discontinuity at the edges of the box: 1e-6 of the peak
-            // per pixel, 128 pixels away.
+            // Without noise the two methods differ only by the discontinuity at the edges of the
+            // box: 1e-6 of the peak per pixel, 128 pixels away.
             assert!((by_otf - by_energy).abs() < 1e-7, "{by_otf} {by_energy}");
-            // The light outside the box is known here, and so is the ratio of the peaks. An aberration without tilt
-            // shifts the peak by the order of σ³, so the peak exceeds the intensity on the axis by the order of σ⁶.
+            // The light outside the box is known here, and so is the ratio of the peaks. An
+            // aberration without tilt shifts the peak by the order of σ³, so the peak exceeds the
+            // intensity on the axis by the order of σ⁶.
             let peak = by_energy * image.sum() / perfect.sum();
             assert!((-1e-6..0.1 * sigma2.powi(3) + 1e-6).contains(&(peak - on_axis)), "{peak} {on_axis}");
-            // ln |<exp iφ>|² = −κ2 + κ4/12 − κ6/360 …, and |κ6| < 30 σ⁶ for bounded phases such as these.
+            // ln |<exp iφ>|² = −κ2 + κ4/12 − κ6/360 …, and |κ6| < 30 σ⁶ for bounded phases such as
+            // these.
             let lacking = (fourth - 3.0 * sigma2 * sigma2) / 12.0;
             assert!((on_axis.ln() - by_marechal.ln() - lacking).abs() < sigma2.powi(3) / 12.0);
             // The image and Maréchal differ by the fourth order and by the light outside the box.
@@ -168,8 +171,8 @@ fn a_subpixel_shift_does_not_change_the_strehl_ratio() {
             strehl_by_energy(moved.view(), 0.0, perfect.view()).unwrap(),
             strehl_by_otf(moved.view(), 0.0, perfect.view(), SAMPLING).unwrap(),
         );
-        // The light that a shift moves across the box's edges is at most that of the rows at the edges, per pixel of
-        // shift.
+        // The light that a shift moves across the box's edges is at most that of the rows at the
+        // edges, per pixel of shift.
         let edges = [[0, 0], [1, 0], [0, 1], [1, 1]]
             .map(|[axis, last]| still.index_axis(Axis(axis), last * (PIXELS - 1)).sum() / still.sum());
         let tolerance = shift[0].abs() * edges[0].max(edges[2]) + shift[1].abs() * edges[1].max(edges[3]);
@@ -239,8 +242,9 @@ fn the_strehl_ratio_has_the_noise_of_its_peak_and_sum() {
         assert!((scatter / expected - 1.0).abs() < 0.37, "{scatter} {expected}");
     }
     for (sum, scatter) in sums.into_iter().zip(scatter) {
-        // Noise shifts the maximum, which raises it by slope² over twice the curvature, of the order of the noise
-        // squared, (π·0.003)². The mean of 60 draws is known to 0.13 of their scatter: 4σ.
+        // Noise shifts the maximum, which raises it by slope² over twice the curvature, of the
+        // order of the noise squared, (π·0.003)². The mean of 60 draws is known to 0.13 of their
+        // scatter: 4σ.
         assert!(sum[0].abs() < 0.52 * scatter + 1e-4, "{} {scatter}", sum[0]);
     }
 }

@@ -27,7 +27,8 @@ fn gain_limits_with_a_fraction_of_a_frame() {
 
 #[test]
 fn gain_limits_of_the_integrator() {
-    // λ = 1 − g: 2. λ² − λ + g: |λ|² = g once complex: 1. Any lag: 2 sin(π/(2(2L − 1))), from the phase by hand.
+    // λ = 1 − g: 2. λ² − λ + g: |λ|² = g once complex: 1. Any lag: 2 sin(π/(2(2L − 1))), from the
+    // phase by hand.
     for lag in 1..8 {
         let known = 2.0 * (PI / (2.0 * (2.0 * lag as f64 - 1.0))).sin();
         let found = stable_gain(Complex64::from(1.0), 1.0, whole(lag));
@@ -62,8 +63,9 @@ fn the_roots_reach_the_unit_circle_at_the_largest_stable_gain() {
 
 #[test]
 fn inpainting_is_unstable_for_residual_slopes_only() {
-    // On segments of 0.9 m with 20 modes dropped, and on the paper's pupil of 10.49 m with 2: RMD has eigenvalues
-    // near −0.001, so the loop diverges within seconds, as in the paper and in an independent simulation (2.1 s).
+    // On segments of 0.9 m with 20 modes dropped, and on the paper's pupil of 10.49 m with 2: RMD
+    // has eigenvalues near −0.001, so the loop diverges within seconds, as in the paper and in an
+    // independent simulation (2.1 s).
     for (bench, filtered) in [(Bench::keck(), 20), (&Bench::with_segment_side(0.862), 2)] {
         let stability = |r#loop: &str| {
             let keys = format!("filtered_modes = {filtered}\nfill = \"inpaint\"\nloop = {:?}", r#loop);
@@ -87,8 +89,8 @@ fn inpainting_is_unstable_for_residual_slopes_only() {
 
 #[test]
 fn modes_that_the_fill_hides_are_neither_stable_nor_unstable() {
-    // With two modes dropped the mirror of Bench::keck has modes whose slopes are all masked. The loop neither
-    // corrects nor excites them; only noise does.
+    // With two modes dropped the mirror of Bench::keck has modes whose slopes are all masked. The
+    // loop neither corrects nor excites them; only noise does.
     let law = ControlLaw::new(&scene("filtered_modes = 2\nfill = \"inpaint\""), &Bench::keck().plant()).unwrap();
     let stability = law.stability();
     println!("{} hidden", stability.hidden);
@@ -100,7 +102,8 @@ fn modes_that_the_fill_hides_are_neither_stable_nor_unstable() {
 
 #[test]
 fn the_poles_are_the_eigenvalues_of_the_whole_step() {
-    // Direct calculation: eigenvalues of the step between two frames, (1 − l) − g R M D, over all actuators.
+    // Direct calculation: eigenvalues of the step between two frames, (1 − l) − g R M D, over all
+    // actuators.
     let bench = Bench::keck();
     for keys in ["fill = \"inpaint\"", "leak = 0.01\nfill = \"mask-interaction-matrix\"", "basis = \"kl\""] {
         let scene = scene(&format!("filtered_modes = 10\n{keys}"));
@@ -116,8 +119,8 @@ fn the_poles_are_the_eigenvalues_of_the_whole_step() {
         }
         fast.extend(vec![Complex64::from(1.0 - scene.leak); law.stability().uncontrolled]);
         assert_eq!(fast.len(), size);
-        // Each eigenvalue has a partner among the poles. Their rounding is about 1e-13, amplified for eigenvalues
-        // that are not well separated.
+        // Each eigenvalue has a partner among the poles. Their rounding is about 1e-13, amplified
+        // for eigenvalues that are not well separated.
         for pole in &slow {
             let near = fast.iter().map(|other| (other - pole).norm()).fold(f64::INFINITY, f64::min);
             assert!(near < 1e-8, "{keys}: {pole} is missing by {near:.1e}");
@@ -146,7 +149,8 @@ fn stable_at_the_usual_gain_and_unstable_past_its_limit() {
 #[test]
 #[ignore = "merge: 3 s"]
 fn the_loop_grows_as_predicted() {
-    // The full loop in commands, from a random start within the controlled modes, against the largest pole.
+    // The full loop in commands, from a random start within the controlled modes, against the
+    // largest pole.
     let bench = Bench::keck();
     for keys in [
         "fill = \"inpaint\"\nlag_frames = 2",
@@ -165,7 +169,8 @@ fn the_loop_grows_as_predicted() {
         let start =
             law.reconstructor().unwrap().modes().dot(&ndarray::Array1::from_shape_fn(controlled, |i| (i as f64).sin()));
         let mut queue = std::collections::VecDeque::from(vec![start; scene.lag().frames]);
-        // The norm oscillates if the largest poles are a complex pair; the rate is measured over many e-foldings.
+        // The norm oscillates if the largest poles are a complex pair; the rate is measured over
+        // many e-foldings.
         let frames = ((12.0 / growth.ln()).ceil() as usize).max(1000);
         let mut logs = [0.0; 2];
         let mut scale = 0.0;
@@ -185,8 +190,8 @@ fn the_loop_grows_as_predicted() {
         logs[1] = scale;
         let rate = (logs[1] - logs[0]) / frames as f64;
         println!("{keys:?}: {frames} frames, {:.3e} per frame, {rate:.3e} measured", growth.ln());
-        // The other modes are smaller by e¹² when the measurement starts, and the oscillation changes the norm by
-        // less than a factor of two over at least a dozen e-foldings.
+        // The other modes are smaller by e¹² when the measurement starts, and the oscillation
+        // changes the norm by less than a factor of two over at least a dozen e-foldings.
         assert!((rate / growth.ln() - 1.0).abs() < 0.05, "{keys}: {rate} against {}", growth.ln());
     }
 }

@@ -1,15 +1,16 @@
-//! Difference between the two sides of an edge of the pyramid: the field of the frequencies above the edge less that of those below, along
-//! one axis.
+//! Difference between the two sides of an edge of the pyramid: the field of the frequencies above
+//! the edge less that of those below, along one axis.
 //!
-//! With the edge at u = −m, in cycles over a grid of N samples, and frequencies up to Nyquist's, N/2, the difference is a convolution
+//! With the edge at u = −m, in cycles over a grid of N samples, and frequencies up to Nyquist's,
+//! N/2, the difference is a convolution
 //!
 //! ```text
 //! S_m(n) = ∫_{−m}^{N/2} − ∫_{−N/2}^{−m} exp(2πi·u·n/N) du/N = (cos πn − exp(−2πi·m·n/N)) / (πi·n),   S_m(0) = 2m/N
 //! ```
 //!
-//! of the pupil with itself left in the pupil: a linear convolution, which an FFT of twice the length computes exactly. It equals the
-//! Hilbert transform of the pyramid's theory (Vérinaud 2004, Opt. Commun. 233, 27), and a pyramid whose focal field is sampled infinitely
-//! finely.
+//! of the pupil with itself left in the pupil: a linear convolution, which an FFT of twice the
+//! length computes exactly. It equals the Hilbert transform of the pyramid's theory (Vérinaud 2004,
+//! Opt. Commun. 233, 27), and a pyramid whose focal field is sampled infinitely finely.
 
 use cophase_numerics::fft::{Fft, FftDirection, FftReal, plan_both};
 use num_complex::{Complex32, Complex64};
@@ -29,7 +30,8 @@ pub(super) struct HalfPlanes {
     product: Vec<Complex32>,
 }
 
-/// Value of the kernel at a distance of `n` samples, of `samples` across the grid, for the offset `m`.
+/// Value of the kernel at a distance of `n` samples, of `samples` across the grid, for the offset
+/// `m`.
 pub(super) fn kernel(m: f64, n: i64, samples: usize) -> Complex64 {
     if n == 0 {
         return Complex64::new(2.0 * m / samples as f64, 0.0);
@@ -132,7 +134,8 @@ mod tests {
 
     #[test]
     fn an_edge_divides_waves_by_the_sign_of_their_frequency() {
-        // In the middle of a long line, a wave of 9 cycles beyond the edge passes with the sign of its side.
+        // In the middle of a long line, a wave of 9 cycles beyond the edge passes with the sign of
+        // its side.
         let n = 600;
         for (m, cycles, sign) in [(0.0, 9.0, 1.0), (0.0, -9.0, -1.0), (20.0, -11.0, 1.0), (20.0, -29.0, -1.0)] {
             let wave = |x: usize| Complex64::from_polar(1.0, TAU * cycles * x as f64 / n as f64);

@@ -1,14 +1,15 @@
 //! Intensities behind the pyramid, summed over the modulation: the inner loop.
 //!
-//! With the field E and the differences A = S_u E, B = S_v E and C = S_u S_v E of the two edges, the fields in the four images are
-//! (E ± A ± B ± C)/4 with the signs σ, τ and στ of the faces. Their intensities are
+//! With the field E and the differences A = S_u E, B = S_v E and C = S_u S_v E of the two edges,
+//! the fields in the four images are (E ± A ± B ± C)/4 with the signs σ, τ and στ of the faces.
+//! Their intensities are
 //!
 //! ```text
 //! 16 I_στ = T + σX + τY + στZ,   T = |E|² + |A|² + |B|² + |C|²,   X = 2 Re(E A* + B C*),   Y = 2 Re(E B* + A C*),   Z = 2 Re(E C* + A B*)
 //! ```
 //!
-//! From a point of the modulation to the next, A, B and C change by one term of rank 1 for each node of a strip. A vector of [`LANES`]
-//! samples of a row stays in registers for the whole circle:
+//! From a point of the modulation to the next, A, B and C change by one term of rank 1 for each
+//! node of a strip. A vector of [`LANES`] samples of a row stays in registers for the whole circle:
 //!
 //! ```text
 //! for each vector of columns, for each row:
@@ -114,8 +115,9 @@ impl NullaryFnOnce for SumIntensities<'_> {
 }
 
 /// Sums of one vector over all points.
-// The form matters: functions that are inlined, no closures, and values that are copied. A closure would be compiled for the baseline
-// processor, with a call of the library for each fused multiply-add, which takes a hundred times as long.
+// The form matters: functions that are inlined, no closures, and values that are copied. A closure
+// would be compiled for the baseline processor, with a call of the library for each fused
+// multiply-add, which takes a hundred times as long.
 #[inline(always)]
 fn sum_over_circle(
     [e, mut a, mut b, mut c]: [Vector; 4],
@@ -154,7 +156,8 @@ fn add_point([mut t, mut x, mut y, mut z]: [Lane; 4], e: &Vector, a: &Vector, b:
     [t, x, y, z]
 }
 
-/// Kernel: Fourier components of lines, `out[node][i] = Σ_s conj(wave[node](s))·lines[s][i]`; `waves` is `[s][node]`.
+/// Kernel: Fourier components of lines, `out[node][i] = Σ_s conj(wave[node](s))·lines[s][i]`;
+/// `waves` is `[s][node]`.
 pub(super) struct Components<'a> {
     pub lines: &'a [Vector],
     pub vectors: usize,

@@ -1,12 +1,15 @@
-//! Pyramid wavefront sensor: a four-sided pyramid in the focus with a circular modulation, four images of the pupil, slopes.
+//! Pyramid wavefront sensor: a four-sided pyramid in the focus with a circular modulation, four
+//! images of the pupil, slopes.
 //!
-//! Behind the faces (u > 0, v > 0), (−, +), (+, −) and (−, −) a pixel has the intensities I₊₊, I₋₊, I₊₋ and I₋₋. Its slopes are
+//! Behind the faces (u > 0, v > 0), (−, +), (+, −) and (−, −) a pixel has the intensities I₊₊, I₋₊,
+//! I₊₋ and I₋₋. Its slopes are
 //!
 //! ```text
 //! s_x = (I₊₊ + I₊₋ − I₋₊ − I₋₋) / n,    s_y = (I₊₊ + I₋₊ − I₊₋ − I₋₋) / n
 //! ```
 //!
-//! with n the sum of its four intensities ("pixel"), or the mean of that sum over the pixels in use ("global").
+//! with n the sum of its four intensities ("pixel"), or the mean of that sum over the pixels in use
+//! ("global").
 
 mod half_planes;
 mod kernel;
@@ -31,13 +34,14 @@ pub(super) struct Pyramid {
     optics: PyramidOptics,
     pixels: Lenslets,
     normalisation: SlopeNormalisation,
-    /// Sum and differences of the four intensities of each pixel in use: sum, along x, along y, relative to all light of a fully
-    /// illuminated pixel, or in electrons.
+    /// Sum and differences of the four intensities of each pixel in use: sum, along x, along y,
+    /// relative to all light of a fully illuminated pixel, or in electrons.
     signals: Vec<[f64; 3]>,
 }
 
 impl Pyramid {
-    /// Pyramid of `scene` behind the pupil of `footprint`. Its pixels are the subapertures of `pixels`.
+    /// Pyramid of `scene` behind the pupil of `footprint`. Its pixels are the subapertures of
+    /// `pixels`.
     pub(super) fn new(scene: &SensorScene, pixels: &Lenslets, footprint: &Footprint) -> Self {
         let modulation = Modulation::new(scene.modulation_lambda_over_d.unwrap_or(0.0), scene.modulation_points);
         Self {
@@ -73,7 +77,8 @@ impl Pyramid {
     /// Signals of the pixels in use, with the noise of `light`.
     fn expose(&mut self, mut light: Option<&mut GuideStar>) {
         let samples = self.pixels.samples;
-        // Four faces with 1/16 of the sums each, over the points of the modulation and the samples of a pixel.
+        // Four faces with 1/16 of the sums each, over the points of the modulation and the samples
+        // of a pixel.
         let scale = 1.0 / (16 * self.optics.points() * samples * samples) as f64;
         for (&place, signal) in self.pixels.subapertures.iter().zip(&mut self.signals) {
             let (top, left) = (place / self.pixels.across * samples, place % self.pixels.across * samples);

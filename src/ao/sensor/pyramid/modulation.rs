@@ -1,14 +1,17 @@
-//! Circular modulation of a pyramid: points on the circle, and the strips of the focal plane that cross its edges from point to point.
+//! Circular modulation of a pyramid: points on the circle, and the strips of the focal plane that
+//! cross its edges from point to point.
 //!
-//! At the point (mx, my), in units of λ/D, the focal field is shifted by it, so that the edges of the pyramid lie at u = −mx and v = −my. From
-//! one point to the next an edge passes over a strip of frequencies. The light of a strip is a Fourier integral over its width, which
-//! Gauss-Legendre quadrature gives with a few nodes, since the field of a pupil of width D varies slowly over a fraction of λ/D.
+//! At the point (mx, my), in units of λ/D, the focal field is shifted by it, so that the edges of
+//! the pyramid lie at u = −mx and v = −my. From one point to the next an edge passes over a strip
+//! of frequencies. The light of a strip is a Fourier integral over its width, which Gauss-Legendre
+//! quadrature gives with a few nodes, since the field of a pupil of width D varies slowly over a
+//! fraction of λ/D.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
-/// Relative error of the light of a strip between opposite edges of the grid, the worst pair of points: a tenth of the difference between
-/// f32 and f64 that the tests allow.
+/// Relative error of the light of a strip between opposite edges of the grid, the worst pair of
+/// points: a tenth of the difference between f32 and f64 that the tests allow.
 const STRIP_ERROR: f64 = 1e-4;
 
 /// Points on the circle, and what changes between them.
@@ -30,7 +33,8 @@ pub(super) struct Modulation {
 pub(super) struct ModulationStep {
     /// Strips that the edges across u and across v pass over.
     pub strips: [Option<Strip>; 2],
-    /// Position of the edge across v before the step, and of that across u after it: indices of [`Modulation::offsets`].
+    /// Position of the edge across v before the step, and of that across u after it: indices of
+    /// [`Modulation::offsets`].
     pub v_before: usize,
     pub u_after: usize,
 }
@@ -44,11 +48,13 @@ pub(super) struct Strip {
     pub sign: f64,
 }
 
-/// Least number of points for a radius of `radius` λ/D: the least multiple of 4 from 16 on that is 2πr + 3(2πr)^⅓ or more.
+/// Least number of points for a radius of `radius` λ/D: the least multiple of 4 from 16 on that is
+/// 2πr + 3(2πr)^⅓ or more.
 ///
-/// An intensity behind the pyramid is a sum over pairs of points of the pupil, and a pair at a distance of d varies around the circle as
-/// exp(2πi·m·d/λ): harmonics J_n(2πr·d/D), d ≤ D. A mean over M points is exact but for harmonics that are multiples of M, and J_n(z) vanishes
-/// faster than exponentially beyond n = z + 2 z^⅓ (Abramowitz and Stegun 9.3.4).
+/// An intensity behind the pyramid is a sum over pairs of points of the pupil, and a pair at a
+/// distance of d varies around the circle as exp(2πi·m·d/λ): harmonics J_n(2πr·d/D), d ≤ D. A mean
+/// over M points is exact but for harmonics that are multiples of M, and J_n(z) vanishes faster
+/// than exponentially beyond n = z + 2 z^⅓ (Abramowitz and Stegun 9.3.4).
 pub(super) fn least_points(radius: f64) -> usize {
     let z = TAU * radius;
     ((z + 3.0 * z.cbrt()) as usize + 1).next_multiple_of(4).max(16)
@@ -61,7 +67,8 @@ impl Modulation {
             return Self { points: 1, offsets: vec![0.0], nodes: vec![], weights: vec![], steps: vec![] };
         }
         let points = points.unwrap_or_else(|| least_points(radius));
-        // Points at half steps from the axes: offsets of both edges are then the same numbers, each of four or two points.
+        // Points at half steps from the axes: offsets of both edges are then the same numbers, each
+        // of four or two points.
         let offsets: Vec<f64> =
             (0..points / 2).map(|i| radius * (TAU * (i as f64 + 0.5) / points as f64).cos()).collect();
         let (mut nodes, mut weights, mut strips) = (Vec::new(), Vec::new(), Vec::new());
@@ -99,7 +106,8 @@ impl Modulation {
 
 /// Number of nodes for a strip of `width` λ/D.
 fn nodes_of_strip(width: f64) -> usize {
-    // Remainder of the quadrature of cos(at) on [−1, 1] with n nodes (Abramowitz and Stegun 25.4.30), relative to the integral at a = 0.
+    // Remainder of the quadrature of cos(at) on [−1, 1] with n nodes (Abramowitz and Stegun
+    // 25.4.30), relative to the integral at a = 0.
     let a = PI * width;
     let factorial = |n: usize| (1..=n).map(|i| i as f64).product::<f64>();
     let remainder = |n: usize| {
@@ -108,7 +116,8 @@ fn nodes_of_strip(width: f64) -> usize {
     (1..24).find(|&n| remainder(n) <= STRIP_ERROR).unwrap_or(24)
 }
 
-/// Nodes and weights of Gauss-Legendre quadrature on [−1, 1], by Newton's method on the Legendre polynomial.
+/// Nodes and weights of Gauss-Legendre quadrature on [−1, 1], by Newton's method on the Legendre
+/// polynomial.
 fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
     let n = count as f64;
     let root = |i: usize| {

@@ -1,9 +1,10 @@
 //! Light behind a modulated four-sided pyramid, in the four images of the pupil.
 //!
-//! The images are far from each other: the light of one face that is diffracted into the image of another, which falls with their
-//! distance, is left out. Everything else is exact, up to the rounding of single precision: the focal field is sampled infinitely finely, the
-//! edges cross it at the points of the modulation wherever they lie, and a frame needs no transform for each point. See
-//! `half_planes` for the edges, `modulation` for the circle and `kernel` for the sums.
+//! The images are far from each other: the light of one face that is diffracted into the image of
+//! another, which falls with their distance, is left out. Everything else is exact, up to the
+//! rounding of single precision: the focal field is sampled infinitely finely, the edges cross it
+//! at the points of the modulation wherever they lie, and a frame needs no transform for each
+//! point. See `half_planes` for the edges, `modulation` for the circle and `kernel` for the sums.
 
 use super::half_planes::HalfPlanes;
 use super::kernel::{Components, Lane, StepTerms, SumIntensities, Tile, Vector};
@@ -35,7 +36,8 @@ pub(super) struct PyramidOptics {
     transposed: Plane,
     /// A, B and C at the first point.
     differences: [Plane; 3],
-    /// Components of the field along x, over y, and along y, over x: `[node]`; and their transforms.
+    /// Components of the field along x, over y, and along y, over x: `[node]`; and their
+    /// transforms.
     components: [Plane; 2],
     spectra: [Vec<Complex32>; 2],
     line: Vec<Complex32>,
@@ -102,7 +104,8 @@ impl PyramidOptics {
         self.modulation.points
     }
 
-    /// Computes T, X/2, Y/2 and Z/2 of the wavefront `opd_nm`, a map over the footprint, summed over the points of the modulation.
+    /// Computes T, X/2, Y/2 and Z/2 of the wavefront `opd_nm`, a map over the footprint, summed
+    /// over the points of the modulation.
     pub(super) fn propagate(&mut self, opd_nm: &[f32]) {
         self.fill(opd_nm);
         self.first_point();
@@ -135,10 +138,12 @@ impl PyramidOptics {
         let vectors: usize = self.tiles.iter().map(|tile| tile.rows.len()).sum();
         let samples = (vectors * LANES) as f64;
         let terms: usize = self.steps.iter().map(|step| step.u.len() + step.v.len()).sum();
-        // Two complex products for each term, ten squares and products of complex numbers at each point.
+        // Two complex products for each term, ten squares and products of complex numbers at each
+        // point.
         let circle = samples * (16.0 * terms as f64 + 40.0 * self.points() as f64);
         let (n, nodes) = (self.footprint.samples() as f64, self.modulation.nodes.len() as f64);
-        // Both transforms of lines of A, B and C; of the nodes, forward once and back for each term; the nodes' components.
+        // Both transforms of lines of A, B and C; of the nodes, forward once and back for each
+        // term; the nodes' components.
         let transforms = (6.0 * n + 2.0 * nodes + terms as f64) * self.planes.transform_operations();
         circle + transforms + 16.0 * nodes * n * n
     }
@@ -178,7 +183,8 @@ impl PyramidOptics {
         }
     }
 
-    /// Fourier components of the field at the nodes, along x and along y, and their transforms along the other axis.
+    /// Fourier components of the field at the nodes, along x and along y, and their transforms
+    /// along the other axis.
     fn field_components(&mut self) {
         let (nodes, length) = (self.modulation.nodes.len(), self.planes.length());
         let lines = [&self.transposed, &self.field];

@@ -1,4 +1,5 @@
-//! The pyramid against its definition in double precision, and against the published theory of the sensor.
+//! The pyramid against its definition in double precision, and against the published theory of the
+//! sensor.
 
 use super::super::{GuideStar, Sensor};
 use super::*;
@@ -65,8 +66,8 @@ impl Bench {
         seen.iter().zip(&flat).map(|(seen, flat)| f64::from(seen - flat)).collect()
     }
 
-    /// Part of the pixels' light that the last frame of `pyramid` has in the four images; the rest is diffracted beside them. Theory
-    /// divides differences by all light.
+    /// Part of the pixels' light that the last frame of `pyramid` has in the four images; the rest
+    /// is diffracted beside them. Theory divides differences by all light.
     fn light(&self, pyramid: &Pyramid) -> f64 {
         let seen: f64 = pyramid.signals.iter().map(|[sum, ..]| sum).sum();
         seen / self.pixels.light.iter().sum::<f64>()
@@ -77,7 +78,8 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// Field of the frequencies of one side of an edge at −m: `[x][x']`, by the midpoint rule over the focal plane.
+/// Field of the frequencies of one side of an edge at −m: `[x][x']`, by the midpoint rule over the
+/// focal plane.
 fn side(m: f64, is_above: bool, n: usize) -> Vec<Vec<Complex64>> {
     let (from, to) = if is_above { (-m, n as f64 / 2.0) } else { (-(n as f64) / 2.0, -m) };
     let cells = 200 * n;
@@ -91,7 +93,8 @@ fn side(m: f64, is_above: bool, n: usize) -> Vec<Vec<Complex64>> {
     (0..n).map(|x| (0..n).map(|s| table[x + n - 1 - s]).collect()).collect()
 }
 
-/// Intensities of the four faces over the pupil, in the order of [`FACES`], summed over the modulation, from the definition.
+/// Intensities of the four faces over the pupil, in the order of [`FACES`], summed over the
+/// modulation, from the definition.
 fn definition(field: &[Vec<Complex64>], points: &[[f64; 2]]) -> [Vec<Vec<f64>>; 4] {
     let n = field.len();
     let mut sums = [(); 4].map(|()| vec![vec![0.0; n]; n]);
@@ -149,8 +152,8 @@ fn the_light_is_that_of_the_definition_in_double_precision() {
             }
         }
         println!("radius {radius}: {worst:.1e} of the light of a sample");
-        // The quadrature of a strip has an error of 1e-4 of 2·0.5 λ/D between opposite edges, for few pairs of samples; single precision
-        // some hundred roundings of 1e-7.
+        // The quadrature of a strip has an error of 1e-4 of 2·0.5 λ/D between opposite edges, for
+        // few pairs of samples; single precision some hundred roundings of 1e-7.
         assert!(worst < 1e-4, "{radius}: {worst}");
     }
 }
@@ -171,7 +174,8 @@ fn twice_the_points_have_the_same_slopes() {
 
 #[test]
 fn tilt_signal_is_an_arcsine_that_saturates_at_the_modulation() {
-    // Ragazzoni 1996; Vérinaud 2004, section 3: the spot is on one side of the edge for a part of its circle, s = (2/π) asin(α/r).
+    // Ragazzoni 1996; Vérinaud 2004, section 3: the spot is on one side of the edge for a part of
+    // its circle, s = (2/π) asin(α/r).
     for radius in [3.0, 5.0] {
         let bench =
             Bench::new(&format!("pixels_across = 10\nsamples_per_pixel = 6\nmodulation_lambda_over_d = {radius}\n"));
@@ -181,7 +185,8 @@ fn tilt_signal_is_an_arcsine_that_saturates_at_the_modulation() {
             let found = mean(&bench.slopes(&mut pyramid, |x, _| TAU * share * radius * x)) * bench.light(&pyramid);
             let expected = 2.0 / PI * f64::asin(share);
             println!("{radius} {share}: {found:.4} {expected:.4}");
-            // The spot's wings, 1/(π²·distance in λ/D) of the light on one side of an edge, weaken it by some percent.
+            // The spot's wings, 1/(π²·distance in λ/D) of the light on one side of an edge, weaken
+            // it by some percent.
             assert!((found / expected - 1.0).abs() < 0.1, "{radius} {share}: {found} {expected}");
         }
         let saturated = mean(&bench.slopes(&mut pyramid, |x, _| TAU * 2.0 * radius * x));
@@ -191,8 +196,9 @@ fn tilt_signal_is_an_arcsine_that_saturates_at_the_modulation() {
 
 #[test]
 fn sensitivity_grows_with_frequency_up_to_the_modulation() {
-    // Vérinaud 2004, eq. 28 and figure 4: an edge between the spot and the speckle of a wave of f cycles is there for the part of the circle
-    // on which |mx| < f: (2/π) asin(f/r) below the modulation, 1 above.
+    // Vérinaud 2004, eq. 28 and figure 4: an edge between the spot and the speckle of a wave of f
+    // cycles is there for the part of the circle on which |mx| < f: (2/π) asin(f/r) below the
+    // modulation, 1 above.
     let radius = 4.0;
     let bench =
         Bench::new(&format!("pixels_across = 32\nsamples_per_pixel = 4\nmodulation_lambda_over_d = {radius}\n"));
@@ -219,12 +225,14 @@ fn sensitivity_grows_with_frequency_up_to_the_modulation() {
 
 #[test]
 fn a_piston_between_halves_has_the_sine_of_its_phase() {
-    // Esposito et al. 2005, Opt. Lett. 30, 2572: the signal at the edge of a segment is proportional to sin φ.
+    // Esposito et al. 2005, Opt. Lett. 30, 2572: the signal at the edge of a segment is
+    // proportional to sin φ.
     for radius in [0.0, 3.0] {
         let bench =
             Bench::new(&format!("pixels_across = 10\nsamples_per_pixel = 4\nmodulation_lambda_over_d = {radius}\n"));
         let mut pyramid = bench.pyramid();
-        // Differences before they are divided by the light in the images, which depends on φ without a modulation.
+        // Differences before they are divided by the light in the images, which depends on φ
+        // without a modulation.
         let mut at = |phase: f64| {
             let seen = bench.map(|x, _| if x > 0.0 { phase } else { 0.0 });
             let mut slopes = vec![0.0; 2 * bench.pixels.subapertures.len()];
@@ -236,8 +244,9 @@ fn a_piston_between_halves_has_the_sine_of_its_phase() {
         assert!(largest > 0.1, "{largest}");
         for phase in [0.2, 1.0, 2.5, 3.1, 4.5, 6.0] {
             for (found, quarter) in at(phase).iter().zip(&quarter) {
-                // Exact but for the quadrature's 1e-4: an intensity is of second order in the field, so that only 1, cos φ and sin φ occur,
-                // and a conjugated field has the opposite signal.
+                // Exact but for the quadrature's 1e-4: an intensity is of second order in the
+                // field, so that only 1, cos φ and sin φ occur, and a conjugated field has the
+                // opposite signal.
                 assert!((found - phase.sin() * quarter).abs() < 1e-3 * largest, "{radius} {phase}: {found} {quarter}");
             }
         }
@@ -246,7 +255,8 @@ fn a_piston_between_halves_has_the_sine_of_its_phase() {
 
 #[test]
 fn photon_noise_of_a_slope_is_one_over_root_electrons() {
-    // Vérinaud 2004, eq. 33: var s = 1/N with N the photons in the four pixels; read noise adds 4 e²/N².
+    // Vérinaud 2004, eq. 33: var s = 1/N with N the photons in the four pixels; read noise adds 4
+    // e²/N².
     for normalisation in ["global", "pixel"] {
         for (read_e, magnitude) in [(0.0, 5.0), (20.0, 9.0)] {
             let bench = Bench::new(&format!(
@@ -271,7 +281,8 @@ fn photon_noise_of_a_slope_is_one_over_root_electrons() {
             }
             let ratio = (square / expected).sqrt();
             println!("{normalisation} {read_e}: {ratio:.3}");
-            // 60 frames of 150 slopes: 0.7 %; "pixel" also divides by a noisy sum, which is of second order.
+            // 60 frames of 150 slopes: 0.7 %; "pixel" also divides by a noisy sum, which is of
+            // second order.
             assert!((ratio - 1.0).abs() < 0.03, "{normalisation} {read_e}: {ratio}");
         }
     }
@@ -279,9 +290,10 @@ fn photon_noise_of_a_slope_is_one_over_root_electrons() {
 
 #[test]
 fn optical_gain_of_uncorrelated_phases_is_their_strehl_ratio() {
-    // An intensity is a sum of products of the field at two points, and the mean of such a product falls by exp(−D/2), D the structure
-    // function (Fauvarque et al. 2019, arXiv:1902.05440; Chambouleyron et al. 2020, A&A 644, A6). Phases without correlation have D = 2σ²
-    // between all pairs, so that every mode has the gain exp(−σ²).
+    // An intensity is a sum of products of the field at two points, and the mean of such a product
+    // falls by exp(−D/2), D the structure function (Fauvarque et al. 2019, arXiv:1902.05440;
+    // Chambouleyron et al. 2020, A&A 644, A6). Phases without correlation have D = 2σ² between all
+    // pairs, so that every mode has the gain exp(−σ²).
     let bench = Bench::new("pixels_across = 10\nsamples_per_pixel = 6\n");
     let mut pyramid = bench.pyramid();
     let mode = |x: f64, y: f64| 0.1 * (TAU * (2.0 * x + y)).sin();
@@ -300,8 +312,8 @@ fn optical_gain_of_uncorrelated_phases_is_their_strehl_ratio() {
         }
         let expected = (-sigma * sigma).exp();
         println!("{sigma}: {gain:.4} {expected:.4}");
-        // The mean over 2,800 samples and 40 draws is known to some percent of the gain's complement; light that is scattered out of the
-        // four images lowers it by some percent.
+        // The mean over 2,800 samples and 40 draws is known to some percent of the gain's
+        // complement; light that is scattered out of the four images lowers it by some percent.
         assert!((gain / expected - 1.0).abs() < 0.12, "{sigma}: {gain} {expected}");
     }
 }

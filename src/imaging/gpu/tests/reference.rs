@@ -7,15 +7,17 @@ use std::f64::consts::TAU;
 
 use super::super::{GpuColour, GpuLayout, GpuMode, GpuPhotometry};
 
-/// A small asymmetric model that covers the special cases of the packing: extents that are not whole vectors, dark rows and
-/// blocks, overlapping segments with weights of either sign, an unused mode.
+/// A small asymmetric model that covers the special cases of the packing: extents that are not
+/// whole vectors, dark rows and blocks, overlapping segments with weights of either sign, an unused
+/// mode.
 pub(super) fn scene() -> GpuLayout {
     let (n, segments, smooth): (usize, _, _) = (18, 5, 7);
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let illuminated: Vec<usize> = (0..n * n)
         .filter(|i| {
             let (y, x) = (i / n, i % n);
-            // Dark: an edge, two corners, and on the axis a whole row and a hole, whose blocks must be zeroed.
+            // Dark: an edge, two corners, and on the axis a whole row and a hole, whose blocks must
+            // be zeroed.
             let hole = y.abs_diff(8).min(y.abs_diff(9)) < 3 && x.abs_diff(8).min(x.abs_diff(9)) < 4;
             !matches!(y, 8 | 9)
                 && !hole
@@ -145,7 +147,8 @@ pub(super) fn psf(layout: &GpuLayout, coefficients: &[f64]) -> Vec<f64> {
     respond(layout, &intensity(layout, &fields(layout, coefficients)), false)
 }
 
-/// At one wavelength: P, a and E = a P at each illuminated sample, and the focal field at each pixel.
+/// At one wavelength: P, a and E = a P at each illuminated sample, and the focal field at each
+/// pixel.
 struct Field {
     pupil: Vec<[Complex64; 3]>,
     focal: Vec<Complex64>,
@@ -168,7 +171,8 @@ fn intensity(layout: &GpuLayout, fields: &[Field]) -> Vec<f64> {
     (0..layout.pixels * layout.pixels).map(at).collect()
 }
 
-/// The image with the response of the pixels, or its transpose, applied along both axes, each as a matrix.
+/// The image with the response of the pixels, or its transpose, applied along both axes, each as a
+/// matrix.
 fn respond(layout: &GpuLayout, image: &[f64], transposed: bool) -> Vec<f64> {
     let Some([along_x, along_y]) = &layout.pixel_terms else { return image.to_vec() };
     let m = layout.pixels;
@@ -372,8 +376,8 @@ fn differences_in(layout: &GpuLayout) {
         let result = at(&c);
         let scale = result.gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
         for k in 0..c.len() {
-            // A step of 1e-5 wave: the cubic term of the difference is (2 pi 1e-5)^2 ~ 4e-9 of the gradient, the rounding
-            // 1e-16 J/(step g) ~ 1e-10.
+            // A step of 1e-5 wave: the cubic term of the difference is (2 pi 1e-5)^2 ~ 4e-9 of the
+            // gradient, the rounding 1e-16 J/(step g) ~ 1e-10.
             let step = 0.0165;
             let shifted =
                 |by: f64| at(&c.iter().enumerate().map(|(i, v)| v + if i == k { by } else { 0.0 }).collect::<Vec<_>>());

@@ -1,9 +1,10 @@
-//! Lattice of integer vectors in a metric: reduced basis (Lenstra, Lenstra & Lovász 1982, Math. Ann. 261, 515) and the vector near a
-//! point (Babai 1986, Combinatorica 6, 1).
+//! Lattice of integer vectors in a metric: reduced basis (Lenstra, Lenstra & Lovász 1982, Math.
+//! Ann. 261, 515) and the vector near a point (Babai 1986, Combinatorica 6, 1).
 
 use ndarray::Array2;
 
-/// Least ratio of successive orthogonalised squares, up to the square of their coefficient: the authors' 3/4.
+/// Least ratio of successive orthogonalised squares, up to the square of their coefficient: the
+/// authors' 3/4.
 const LOVASZ: f64 = 0.75;
 
 /// A basis of the integer vectors that are short and nearly orthogonal in a metric.
@@ -42,8 +43,8 @@ impl IntegerLattice {
         lattice
     }
 
-    /// A vector near the minimum of half a quadratic form, whose second derivatives are the metric and whose gradient at 0 is `gradient`:
-    /// the nearest where orthogonalised vectors are long.
+    /// A vector near the minimum of half a quadratic form, whose second derivatives are the metric
+    /// and whose gradient at 0 is `gradient`: the nearest where orthogonalised vectors are long.
     pub(super) fn near_minimum(&self, gradient: &[f64]) -> Vec<i64> {
         let size = self.basis.len();
         // Scalar products of the minimum with the orthogonalised basis.
@@ -81,7 +82,8 @@ impl IntegerLattice {
         }
     }
 
-    /// Subtracts from `row` the multiples of the rows before it that make its coefficients at most a half.
+    /// Subtracts from `row` the multiples of the rows before it that make its coefficients at most
+    /// a half.
     fn shorten(&mut self, row: usize) {
         for column in (0..row).rev() {
             let multiple = self.coefficient(row, column).round();
@@ -121,7 +123,8 @@ impl IntegerLattice {
 mod tests {
     use super::*;
 
-    /// The integers with x ≈ 0.75 y: in a metric that punishes their difference, (3, 4) is short and (1, 0) is not.
+    /// The integers with x ≈ 0.75 y: in a metric that punishes their difference, (3, 4) is short
+    /// and (1, 0) is not.
     #[test]
     fn the_shortest_vector_is_found() {
         let (stiff, soft) = (1e4, 1.0);
@@ -133,7 +136,8 @@ mod tests {
         assert_eq!(determinant.abs(), 1, "{basis:?} spans all integers");
     }
 
-    /// Differences of two integers are short, single integers are long: one vector of the basis at most has a sum.
+    /// Differences of two integers are short, single integers are long: one vector of the basis at
+    /// most has a sum.
     #[test]
     fn a_hidden_short_combination_is_found() {
         let size = 12;
@@ -146,7 +150,8 @@ mod tests {
         assert_eq!(basis[size - 1].iter().sum::<i64>().abs(), 1, "{:?}", basis[size - 1]);
     }
 
-    /// Of integers near a point in a skew metric the nearest is found, where rounding each alone is far off.
+    /// Of integers near a point in a skew metric the nearest is found, where rounding each alone is
+    /// far off.
     #[test]
     fn the_nearest_vector_is_found() {
         let gram = ndarray::arr2(&[[1601.0, -1200.0], [-1200.0, 901.0]]);

@@ -1,10 +1,11 @@
 //! Gibbs sampler of the integers: of each segment alone, and of groups of segments.
 //!
-//! 4·1640 and 3·2168.6 nm differ by 54 nm. A segment that is off by this pair of integers shows it; a group of neighbours shows little of
-//! it, because the NCPA and the tilts of the channels take up what is smooth, and no segment of it can go back alone. Such groups are
-//! short vectors of the lattice of integers in the metric of χ²: a reduced basis of it has them (as in the integer least squares
-//! of satellite navigation, Teunissen 1995, J. Geodesy 70, 65). The sampler starts near the minimum of χ² over all integers, which the
-//! basis gives, and draws multiples of its vectors.
+//! 4·1640 and 3·2168.6 nm differ by 54 nm. A segment that is off by this pair of integers shows it;
+//! a group of neighbours shows little of it, because the NCPA and the tilts of the channels take up
+//! what is smooth, and no segment of it can go back alone. Such groups are short vectors of the
+//! lattice of integers in the metric of χ²: a reduced basis of it has them (as in the integer least
+//! squares of satellite navigation, Teunissen 1995, J. Geodesy 70, 65). The sampler starts near the
+//! minimum of χ² over all integers, which the basis gives, and draws multiples of its vectors.
 
 use crate::modal::combine::integers::lattice::IntegerLattice;
 use ndarray::{Array1, Array2, ArrayView2, s};
@@ -14,7 +15,8 @@ use std::collections::BTreeMap;
 
 /// Sweeps of the sampler over all segments that are left out, while it leaves its start,
 const SKIPPED_SWEEPS: usize = 100;
-/// and that are averaged: a probability is known to some 5 % of its distance from 0 or 1, being a mean of conditional ones.
+/// and that are averaged: a probability is known to some 5 % of its distance from 0 or 1, being a
+/// mean of conditional ones.
 const SAMPLED_SWEEPS: usize = 400;
 /// Largest multiple of a joint move that is drawn at once; larger ones take several sweeps.
 const MULTIPLES: i64 = 2;
@@ -40,8 +42,8 @@ struct PistonPrior {
 }
 
 impl PistonPrior {
-    /// n ln Σ p² of all n + 1 pistons about their mean, which is the sum of the others plus n/(n + 1) times the square of the
-    /// distance of this one from their mean.
+    /// n ln Σ p² of all n + 1 pistons about their mean, which is the sum of the others plus n/(n +
+    /// 1) times the square of the distance of this one from their mean.
     fn cost(&self, piston_nm: f64) -> f64 {
         let share = self.count / (self.count + 1.0);
         self.count * (self.square_nm2 + share * (piston_nm - self.mean_nm).powi(2)).ln()
@@ -55,7 +57,8 @@ pub(super) struct IntegerSearch {
     seen_nm: Array2<f64>,
     /// Integers of each segment, one for each channel.
     shifts: Vec<Vec<i64>>,
-    /// Half the gradient of χ² with respect to the pistons of each channel, `[channel, segment]`, per nm.
+    /// Half the gradient of χ² with respect to the pistons of each channel, `[channel, segment]`,
+    /// per nm.
     gradient: Array2<f64>,
     /// Half the second derivatives: `[channel][other channel][segment, other segment]`, per nm².
     curvature: Vec<Vec<Array2<f64>>>,
@@ -106,7 +109,8 @@ impl IntegerSearch {
         each.sum::<f64>() / segments.len().max(1) as f64
     }
 
-    /// The integers of a segment, one for each channel, for which it is within the range about the mean of `others`.
+    /// The integers of a segment, one for each channel, for which it is within the range about the
+    /// mean of `others`.
     fn candidates(&self, segment: usize, others: &[usize]) -> Vec<Vec<i64>> {
         let mean_nm = others.iter().map(|&other| self.piston_nm(0, other)).sum::<f64>() / others.len().max(1) as f64;
         let offsets_nm: Vec<f64> = (0..self.wavelengths_nm.len()).map(|i| self.offset_nm(i, others)).collect();
@@ -161,7 +165,8 @@ impl IntegerSearch {
         self.shifts[segment].copy_from_slice(integers);
     }
 
-    /// −2 ln of the prior of all pistons, up to a constant: n ln Σ p² about their mean within the range, infinite beyond it.
+    /// −2 ln of the prior of all pistons, up to a constant: n ln Σ p² about their mean within the
+    /// range, infinite beyond it.
     fn prior_cost(&self, pistons_nm: impl Iterator<Item = f64> + Clone) -> f64 {
         let count = self.shifts.len() as f64;
         let mean_nm = pistons_nm.clone().sum::<f64>() / count;
@@ -173,14 +178,16 @@ impl IntegerSearch {
         if is_within { (count - 1.0) * square_nm2.ln() } else { f64::INFINITY }
     }
 
-    /// Channels and segments whose integers are free. Pistons of all are not seen: one segment stays.
+    /// Channels and segments whose integers are free. Pistons of all are not seen: one segment
+    /// stays.
     fn free(&self) -> Vec<(usize, usize)> {
         let segments = self.all_but(self.reference);
         (0..self.wavelengths_nm.len()).flat_map(|i| segments.iter().map(move |segment| (i, *segment))).collect()
     }
 
-    /// Moves to integers near the minimum of χ² and a normal prior of the pistons, and returns moves of several segments at once that
-    /// change it little: the reduced basis of the integers in its metric.
+    /// Moves to integers near the minimum of χ² and a normal prior of the pistons, and returns
+    /// moves of several segments at once that change it little: the reduced basis of the integers
+    /// in its metric.
     pub(super) fn begin(&mut self) -> Vec<JointMove> {
         let free = self.free();
         let spread = self.range_nm.powi(-2);
@@ -248,7 +255,8 @@ impl IntegerSearch {
         change(multiple)
     }
 
-    /// The most probable integers of each segment, and the probabilities of those of the first channel.
+    /// The most probable integers of each segment, and the probabilities of those of the first
+    /// channel.
     pub(super) fn sample(&mut self, joint_moves: &[JointMove]) -> (Vec<Vec<i64>>, Vec<BTreeMap<i64, f64>>) {
         let mut rng = ChaCha12Rng::seed_from_u64(SEED);
         let mut sums: Vec<BTreeMap<i64, f64>> = vec![BTreeMap::new(); self.shifts.len()];

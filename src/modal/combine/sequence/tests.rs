@@ -3,7 +3,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Normal draws, `[image, mode]`, that share a part of weight `common`: their correlation is `common²`.
+/// Normal draws, `[image, mode]`, that share a part of weight `common`: their correlation is
+/// `common²`.
 fn draws(images: usize, modes: usize, common: f64, seed: u64) -> Array2<f64> {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
@@ -54,9 +55,9 @@ fn a_row_far_from_the_others_is_found_in_any_direction() {
 
 #[test]
 fn the_error_bars_are_those_of_mean_and_median() {
-    // The true location is 0. Pulls of 400 independent modes scatter by 1/√800 = 3.5 % about 1, and with error bars that
-    // are themselves from 50 images (10 % each for the mean, 16 % for the median deviation) their square grows by 3 and
-    // 8 %: 4 standard deviations around that.
+    // The true location is 0. Pulls of 400 independent modes scatter by 1/√800 = 3.5 % about 1, and
+    // with error bars that are themselves from 50 images (10 % each for the mean, 16 % for the
+    // median deviation) their square grows by 3 and 8 %: 4 standard deviations around that.
     let (images, modes) = (50, 400);
     let noise = Array2::from_diag_elem(modes, 1e-3);
     for (how, expected) in [(Combine::Mean, 1.015), (Combine::Median, 1.04)] {
@@ -70,7 +71,8 @@ fn the_error_bars_are_those_of_mean_and_median() {
 
 #[test]
 fn correlations_of_few_images_are_those_of_the_noise() {
-    // Draws with the correlation of the noise: 8 images of 60 modes show 0.3 ± 0.4, and shrinkage gives 0.3.
+    // Draws with the correlation of the noise: 8 images of 60 modes show 0.3 ± 0.4, and shrinkage
+    // gives 0.3.
     let rows = draws(8, 60, 0.3f64.sqrt(), 3);
     let noise = equicorrelated(60, 0.3);
     let found = scatter(&rows, Combine::Mean, &noise);
@@ -79,15 +81,16 @@ fn correlations_of_few_images_are_those_of_the_noise() {
     assert!(found.diag().iter().zip(&sample).all(|(a, b)| (a - b).abs() < 1e-12 * b));
     let correlation = correlation_of(&found);
     assert!((off_diagonal(&correlation) - 0.3).abs() < 0.1, "{}", off_diagonal(&correlation));
-    // Positive, though there are fewer images than modes: the smallest eigenvalue of the target is 0.7.
+    // Positive, though there are fewer images than modes: the smallest eigenvalue of the target is
+    // 0.7.
     let metric = crate::optimize::Metric::from_gauss_newton(&correlation, 1e-3).unwrap();
     assert_eq!(metric.rank(), 60);
 }
 
 #[test]
 fn correlations_of_many_images_are_their_own() {
-    // The noise says −0.01, the images have 0.6; 400 of them know it to 0.04 each, and all pairs share one cause, whose
-    // strength 400 draws know to 0.05.
+    // The noise says −0.01, the images have 0.6; 400 of them know it to 0.04 each, and all pairs
+    // share one cause, whose strength 400 draws know to 0.05.
     let noise = equicorrelated(20, -0.01);
     for (how, expected) in [(Combine::Mean, 0.6), (Combine::Median, (0.6f64).asin() * 2.0 / std::f64::consts::PI)] {
         let rows = draws(400, 20, 0.6f64.sqrt(), 4);

@@ -30,7 +30,8 @@ fn outliers_are_found_and_predicted() {
         assert!(clean(&scene, &image_e, &bad).is_none(), "light and noise have no outlier");
         let peak_e = image_e.iter().copied().fold(0.0, f64::max);
         let (rows, columns) = image_e.dim();
-        // A hot pixel, a dead one in the light, a track of three, a corner, and a pixel that is known.
+        // A hot pixel, a dead one in the light, a track of three, a corner, and a pixel that is
+        // known.
         let brightest = image_e.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
         let track = [0, 1, 2].map(|i| (rows / 4 + i, columns / 3 + i));
         let mut spoilt_e = image_e.clone();
@@ -45,8 +46,8 @@ fn outliers_are_found_and_predicted() {
         for (at, &e) in spoilt_e.indexed_iter().filter(|(at, _)| *at != place) {
             let is_spoilt = e != image_e[at];
             assert_eq!(found.data_e[at] != e, is_spoilt, "{settings:?} {at:?}");
-            // The noise of a prediction is twice that of a pixel at most, where neighbours are good; four of these, and
-            // twice that in a track.
+            // The noise of a prediction is twice that of a pixel at most, where neighbours are
+            // good; four of these, and twice that in a track.
             let noise_e = (image_e[at].max(0.0) + NOISE_E * NOISE_E).sqrt();
             assert!((found.data_e[at] - image_e[at]).abs() < 16.0 * noise_e, "{at:?}");
         }
@@ -77,7 +78,8 @@ fn errors_that_are_not_single_pixels_are_left() {
     let scene = scene(&[]);
     let image_e = images(&scene).index_axis_move(Axis(0), 1);
     let bad = image_e.mapv(|_| false);
-    // Responses of pixels that scatter by 10 % are not single pixels, and noise that is understated threefold is none.
+    // Responses of pixels that scatter by 10 % are not single pixels, and noise that is understated
+    // threefold is none.
     let mut uneven = image_e.clone();
     uneven.indexed_iter_mut().for_each(|((y, x), e)| *e *= 1.0 + 0.1 * ((7 * y + 13 * x * x) as f64).sin());
     assert!(clean(&scene, &uneven, &bad).is_none());

@@ -1,4 +1,5 @@
-//! Device engine: all images advance in lock-step, one batched evaluation a step, and those that are done drop out.
+//! Device engine: all images advance in lock-step, one batched evaluation a step, and those that
+//! are done drop out.
 
 use crate::imaging::{Chain, Evaluation, Exposure};
 use crate::modal::prepare::Preparer;

@@ -1,5 +1,5 @@
-//! Lane: the memory in which one thread fits one image after the other. An image's data stay in that core's cache, and no
-//! thread waits for another.
+//! Lane: the memory in which one thread fits one image after the other. An image's data stay in
+//! that core's cache, and no thread waits for another.
 
 use crate::Result;
 use crate::imaging::{CpuChain, Evaluation, FlatWavefront, LoadedImage, Polynomial, Precision, Scratch};

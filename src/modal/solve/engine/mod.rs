@@ -1,5 +1,6 @@
-//! Engines: run the fits of a batch of images, on CPU threads, on a device or on several. A fit depends on its own image alone, so
-//! that every engine of one precision finds the same, for any number of threads or images.
+//! Engines: run the fits of a batch of images, on CPU threads, on a device or on several. A fit
+//! depends on its own image alone, so that every engine of one precision finds the same, for any
+//! number of threads or images.
 
 mod cpu;
 mod device;

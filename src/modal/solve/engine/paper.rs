@@ -1,4 +1,5 @@
-//! The paper's optimiser: BFGS from zero, image by image, coefficients in radians, tolerance 1e-6 on the gradient.
+//! The paper's optimiser: BFGS from zero, image by image, coefficients in radians, tolerance 1e-6
+//! on the gradient.
 
 use crate::Result;
 use crate::imaging::{Chain, Exposure};
@@ -10,9 +11,10 @@ use crate::modal::solve::minimum::Minimum;
 use crate::optimize::ArgminBfgs;
 use ndarray::{Array1, ArrayView1};
 
-/// The paper's BFGS also stops where the objective, in units of the brightest pixel squared, changes by no more than this:
-/// a few roundings. Where the residual is large the gradient stays above its tolerance because of rounding, and a fit takes
-/// all 2,000 evaluations; with this limit 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
+/// The paper's BFGS also stops where the objective, in units of the brightest pixel squared,
+/// changes by no more than this: a few roundings. Where the residual is large the gradient stays
+/// above its tolerance because of rounding, and a fit takes all 2,000 evaluations; with this limit
+/// 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
 const COST_TOLERANCE: f64 = 1e-13;
 
 pub(super) fn fit(chain: &mut Chain, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {

@@ -1,7 +1,9 @@
-//! Several devices: the images of a batch are shared among them in pieces. A device takes its next piece when the last is done, and each
-//! piece is in proportion to its measured speed, so that all end together.
+//! Several devices: the images of a batch are shared among them in pieces. A device takes its next
+//! piece when the last is done, and each piece is in proportion to its measured speed, so that all
+//! end together.
 //!
-//! A fit depends on its own image alone: pieces change no result. The piece of a device that fails is fitted again by another.
+//! A fit depends on its own image alone: pieces change no result. The piece of a device that fails
+//! is fitted again by another.
 
 use crate::imaging::{Chain, DeviceGroup, GroupMember};
 use crate::modal::solve::engine::device::DeviceEngine;
@@ -11,11 +13,13 @@ use std::panic::resume_unwind;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Size of a device's next piece, as a fraction of its share of the images left: the rest evens out errors of the speeds.
+/// Size of a device's next piece, as a fraction of its share of the images left: the rest evens out
+/// errors of the speeds.
 const PIECE: f64 = 0.5;
 /// The same of a device whose speed is not known yet.
 const FIRST_PIECE: f64 = 0.25;
-/// Smallest piece, as a fraction of an equal share of all images: a device is slow with few images at once.
+/// Smallest piece, as a fraction of an equal share of all images: a device is slow with few images
+/// at once.
 const LEAST_PIECE: f64 = 1.0 / 16.0;
 
 /// Images in turn, the first of which has this place in the batch.
@@ -157,7 +161,8 @@ mod tests {
     fn pieces_are_in_proportion_to_the_measured_speeds() {
         let measured = queue(400, &[Some(30.0), Some(10.0)]);
         assert_eq!([0, 1].map(|member| measured.size(member, 400)), [150, 50]);
-        // Before a device is measured it has half as much of its share; others are taken to be as fast as those that are known.
+        // Before a device is measured it has half as much of its share; others are taken to be as
+        // fast as those that are known.
         assert_eq!([0, 1].map(|member| queue(400, &[None, None]).size(member, 400)), [50, 50]);
         assert_eq!([0, 1].map(|member| queue(400, &[Some(30.0), None]).size(member, 400)), [100, 50]);
         // The last pieces are not smaller than is worth a batch, nor larger than what is left.

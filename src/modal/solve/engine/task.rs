@@ -74,8 +74,8 @@ impl ImageFit {
         self.state == FitState::Fitted
     }
 
-    /// Replaces this fit by another one of the same image where that has a smaller χ², and adds up the evaluations of both.
-    /// Returns whether it was replaced.
+    /// Replaces this fit by another one of the same image where that has a smaller χ², and adds up
+    /// the evaluations of both. Returns whether it was replaced.
     pub(in crate::modal) fn improve(&mut self, other: Self) -> bool {
         if !other.is_fitted() {
             return false;

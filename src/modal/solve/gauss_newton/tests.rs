@@ -35,9 +35,9 @@ fn difference(found: &Array2<f64>, wanted: &Array2<f64>) -> f64 {
     found.indexed_iter().map(|((i, j), v)| (v - wanted[[i, j]]).abs() / size(i, j)).fold(0.0, f64::max)
 }
 
-/// A sum of P products is off by P·ε/2 of Σ|a·b| ≤ √(Σa²·Σb²) at most, in whatever order; two sums by twice that. The
-/// derivatives themselves are the same in all tiles but for the shape of the products that make them, some ε·n² ≈ 1e-12
-/// at worst.
+/// A sum of P products is off by P·ε/2 of Σ|a·b| ≤ √(Σa²·Σb²) at most, in whatever order; two sums
+/// by twice that. The derivatives themselves are the same in all tiles but for the shape of the
+/// products that make them, some ε·n² ≈ 1e-12 at worst.
 fn rounding(pixels: usize) -> f64 {
     pixels as f64 * f64::EPSILON + 1e-12
 }
@@ -91,7 +91,8 @@ fn projection_removes_flux_and_background() {
         let wanted = (&jacobian * &Array1::from(weight.clone())).dot(&jacobian.t());
         let found = shares.project_out(found);
         assert_eq!(found, found.t(), "symmetric to the last bit");
-        // Taking out cancels at most the modes' own share of the nuisances: no entry is less than 1e-3 of what it was.
+        // Taking out cancels at most the modes' own share of the nuisances: no entry is less than
+        // 1e-3 of what it was.
         let off = difference(&found, &wanted);
         assert!(off < 1e3 * rounding(linear.psf().len()), "{off:e}");
     }

@@ -79,7 +79,8 @@ fn equal_devices_have_the_bits_of_one_and_replace_a_failed_one() {
         let mut group = several([one, other]);
         assert_eq!(bits(&batch.fit(&mut group).unwrap()), bits(&alone_nm), "{address}");
         assert_eq!(group.failure(), None);
-        // The second device is lost in its first piece: the first one fits all images, in their places.
+        // The second device is lost in its first piece: the first one fits all images, in their
+        // places.
         second.fault().arm(second.fault().commands() + 20, u64::MAX);
         assert_eq!(bits(&batch.fit(&mut group).unwrap()), bits(&alone_nm), "{address}");
         let failure = group.failure().expect("a lost device gives a warning");
