@@ -64,13 +64,17 @@ extern "C" {
 
 /* ---------------------------------------- Names and text ---------------------------------------- */
 
-/* Version of the C interface. It changes only where a program built against an older header could break. */
+/* Version of the C interface. It changes only where a program built against an older header could
+ * break.
+ */
 #define COPHASE_ABI_VERSION 1
 
 /* Version of the library, such as "0.1.0". A static string, never NULL. */
 const char *cophase_version(void);
 
-/* Version of the C interface of the library that is loaded; must be COPHASE_ABI_VERSION of the header. */
+/* Version of the C interface of the library that is loaded; must be COPHASE_ABI_VERSION of the
+ * header.
+ */
 uint32_t cophase_abi_version(void);
 
 /* Success. */
@@ -106,7 +110,9 @@ uint32_t cophase_abi_version(void);
 /* Object in use by another thread; nothing was done. */
 #define COPHASE_BUSY 10
 
-/* Panic inside the library, in this call or an earlier one on this object, which can only be destroyed. Please report it. */
+/* Panic inside the library, in this call or an earlier one on this object, which can only be
+ * destroyed. Please report it.
+ */
 #define COPHASE_PANIC 11
 
 /* Image status: fitted, and the model explains the image. */
@@ -127,41 +133,47 @@ uint32_t cophase_abi_version(void);
 /* Image status: the deadline passed; its coefficients are the best so far. */
 #define COPHASE_IMAGE_DEADLINE 105
 
-/* Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have more. */
+/* Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have
+ * more.
+ */
 typedef int32_t cophase_status;
 
-/* Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`, `MISFIT`, ...; `UNKNOWN`
- * for a number of a later version. A static string, never NULL.
+/* Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`,
+ * `MISFIT`, ...; `UNKNOWN` for a number of a later version. A static string, never NULL.
  */
 const char *cophase_status_name(int32_t status);
 
-/* Sentence of the last call that failed in this thread, UTF-8; empty before the first. Calls that succeed do not change it.
+/* Sentence of the last call that failed in this thread, UTF-8; empty before the first. Calls that
+ * succeed do not change it.
  *
- * text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+ * text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be
+ *   NULL if capacity is 0.
  *
- * Returns the length of the whole sentence in bytes, without the zero. Sentences are cut after 2048 bytes.
+ * Returns the length of the whole sentence in bytes, without the zero. Sentences are cut after
+ * 2048 bytes.
  */
-size_t cophase_last_error(char *text,
-                          size_t capacity);
+size_t cophase_last_error(char *text, size_t capacity);
 
-/* Text of a scene that comes with the library, such as "keck-artificial", "keck-onsky" or "jwst-pair", in `*scene_text`: a static string.
+/* Text of a scene that comes with the library, such as "keck-artificial", "keck-onsky" or
+ * "jwst-pair", in `*scene_text`: a static string.
  *
  * COPHASE_BAD_SCENE for another name; the message lists all names.
  */
-cophase_status cophase_scene_preset(const char *name,
-                                    const char **scene_text);
+cophase_status cophase_scene_preset(const char *name, const char **scene_text);
 
 /* A scene with another value for one key; its comments stay.
  *
  * scene_text: scene as TOML, UTF-8, as cophase_scene_preset gives one.
  * key: section and name, such as "image.peak_snr".
- * value: value in TOML, such as "50" or "[4, 18]"; words and file names may do without quotes. An empty value removes the
- *   key, which then has its default.
- * text: receives at most `capacity` bytes of the new scene, the terminating zero included, as with snprintf; may be NULL
- *   if capacity is 0. It must not overlap scene_text.
- * length: receives the length of the whole text in bytes, without the zero: a text is whole if it is less than capacity.
+ * value: value in TOML, such as "50" or "[4, 18]"; words and file names may do without quotes. An
+ *   empty value removes the key, which then has its default.
+ * text: receives at most `capacity` bytes of the new scene, the terminating zero included, as with
+ *   snprintf; may be NULL if capacity is 0. It must not overlap scene_text.
+ * length: receives the length of the whole text in bytes, without the zero: a text is whole if it
+ *   is less than capacity.
  *
- * COPHASE_BAD_SCENE for a key that does not exist or a value that it does not accept, with what is accepted.
+ * COPHASE_BAD_SCENE for a key that does not exist or a value that it does not accept, with what is
+ * accepted.
  */
 cophase_status cophase_scene_set(const char *scene_text,
                                  const char *key,
@@ -170,20 +182,21 @@ cophase_status cophase_scene_set(const char *scene_text,
                                  size_t capacity,
                                  size_t *length);
 
-/* Devices of this machine, one a line: the text for `device` in cophase_session_options or estimate.device in a scene, a
- * tab, and a description. The first line is always the CPU.
+/* Devices of this machine, one a line: the text for `device` in cophase_session_options or
+ * estimate.device in a scene, a tab, and a description. The first line is always the CPU.
  *
- * text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+ * text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be
+ *   NULL if capacity is 0.
  * length: receives the length of the whole text in bytes, without the zero.
  */
-cophase_status cophase_device_list(char *text,
-                                   size_t capacity,
-                                   size_t *length);
+cophase_status cophase_device_list(char *text, size_t capacity, size_t *length);
 
 /* Text of an estimate: its report, as the program prints it. */
 #define COPHASE_TEXT_REPORT 1
 
-/* Text of an estimate, a session or a simulator: what to know before using the numbers, one sentence a line; empty without warnings. */
+/* Text of an estimate, a session or a simulator: what to know before using the numbers, one
+ * sentence a line; empty without warnings.
+ */
 #define COPHASE_TEXT_WARNINGS 2
 
 /* Text of an estimate: remarks that hold for every image of the scene, one sentence a line. */
@@ -198,7 +211,9 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: the modes that were added to the scene's. */
 #define COPHASE_TEXT_MODEL 6
 
-/* Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics that were fitted. */
+/* Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics
+ * that were fitted.
+ */
 #define COPHASE_TEXT_SCENE 7
 
 /* Text of an estimate or a session: why image `index` has its status, a sentence. */
@@ -213,25 +228,32 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: name of channel `index`. */
 #define COPHASE_TEXT_CHANNEL_NAME 11
 
-/* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the segments. */
+/* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of
+ * command `index` to the segments.
+ */
 #define COPHASE_TEXT_SEGMENT_COMMAND_NAME 12
 
-/* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the mirror. */
+/* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of
+ * command `index` to the mirror.
+ */
 #define COPHASE_TEXT_ACTUATOR_COMMAND_NAME 13
 
-/* Text of an estimate, after cophase_estimate_correct: why piston `index`, then tip, then tilt of the segments is held: deadband, no-benefit
- * or never-corrected; empty for one that moves.
+/* Text of an estimate, after cophase_estimate_correct: why piston `index`, then tip, then tilt of
+ * the segments is held: deadband, no-benefit or never-corrected; empty for one that moves.
  */
 #define COPHASE_TEXT_SEGMENT_HELD 14
 
 /* Text of an estimate, after cophase_estimate_correct: the same of NCPA mode `index`. */
 #define COPHASE_TEXT_NCPA_HELD 15
 
-/* Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one sentence a line. */
+/* Text of an estimate, after cophase_estimate_correct: what to know before anything is moved, one
+ * sentence a line.
+ */
 #define COPHASE_TEXT_CORRECTION_WARNINGS 16
 
-/* Policy: what the program and every other interface do: modes with a prior, a search for outlier pixels, restarts, optics fitted where
- * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
+/* Policy: what the program and every other interface do: modes with a prior, a search for outlier
+ * pixels, restarts, optics fitted where the scene asks for it, a larger model where the scene does
+ * not explain them (estimate.model).
  */
 #define COPHASE_POLICY_FULL 0
 
@@ -255,13 +277,13 @@ cophase_status cophase_device_list(char *text,
 /* Element type of a cophase_input: uint8_t. */
 #define COPHASE_U8 5
 
-/* Input array: a stack of `count` frames or maps of `rows` x `cols` elements (row = y, col = x). It is only read, and only
- * during the call.
+/* Input array: a stack of `count` frames or maps of `rows` x `cols` elements (row = y, col = x).
+ * It is only read, and only during the call.
  *
- * Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides may
- * be negative, or 0 to repeat elements; the stride of an extent of 1 is ignored. C order is count_stride = rows*cols,
- * row_stride = cols, col_stride = 1; MATLAB's column order is row_stride = 1, col_stride = rows. The layout of this struct
- * is permanent.
+ * Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of
+ * the given type. Strides may be negative, or 0 to repeat elements; the stride of an extent of 1
+ * is ignored. C order is count_stride = rows*cols, row_stride = cols, col_stride = 1; MATLAB's
+ * column order is row_stride = 1, col_stride = rows. The layout of this struct is permanent.
  */
 typedef struct {
   /* Element (0, 0, 0); NULL for an optional array that is absent. */
@@ -282,7 +304,8 @@ typedef struct {
   ptrdiff_t col_stride;
 } cophase_input;
 
-/* Input array in C order, without padding: what cophase_input has for `float frames[count][rows][cols]`.
+/* Input array in C order, without padding: what cophase_input has for
+ * `float frames[count][rows][cols]`.
  *
  * cophase_input frames = cophase_input_from_array(data, COPHASE_F32, 1, rows, cols);
  *
@@ -294,8 +317,8 @@ cophase_input cophase_input_from_array(const void *data,
                                        size_t rows,
                                        size_t cols);
 
-/* Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but struct_size: frames are
- * electrons, or counts where the scene has image.gain_e_per_adu.
+/* Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but
+ * struct_size: frames are electrons, or counts where the scene has image.gain_e_per_adu.
  */
 typedef struct {
   /* sizeof(cophase_calibration). */
@@ -316,7 +339,9 @@ typedef struct {
 typedef struct {
   /* COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number. */
   int32_t status;
-  /* 1 if the image was combined into the estimate, or with other channels into the result of a session, else 0. */
+  /* 1 if the image was combined into the estimate, or with other channels into the result of a
+   * session, else 0.
+   */
   int32_t is_used;
   /* 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session. */
   int32_t is_clipped;
@@ -334,7 +359,9 @@ typedef struct {
   double flux_e;
   /* Background, electrons per pixel of the frame. */
   double background_e;
-  /* Tilt along x of the fitted wavefront and of the shift onto the axis, nm RMS over the pupil; NaN in a MAP estimate. */
+  /* Tilt along x of the fitted wavefront and of the shift onto the axis, nm RMS over the pupil;
+   * NaN in a MAP estimate.
+   */
   double tip_nm;
   /* The same along y. */
   double tilt_nm;
@@ -346,24 +373,28 @@ typedef struct {
 
 /* -------------------------------------------- Model -------------------------------------------- */
 
-/* Model of the images of a wavefront: telescope, modes, and of each channel ([[image.channel]]) diversity and camera; a scene that lists no
- * channels has one. Immutable: any number of threads may use it.
+/* Model of the images of a wavefront: telescope, modes, and of each channel ([[image.channel]])
+ * diversity and camera; a scene that lists no channels has one. Immutable: any number of threads
+ * may use it.
  */
 typedef struct cophase_model cophase_model;
 
-/* Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A pupil of at least twice
- * pupil.samples is averaged onto that grid, which modes then have.
+/* Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A
+ * pupil of at least twice pupil.samples is averaged onto that grid, which modes then have.
  */
 typedef struct {
   /* sizeof(cophase_model_arrays). */
   size_t struct_size;
   /* 1 x n x n: amplitude of the pupil, 0 to 1. Required. */
   cophase_input pupil;
-  /* 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without; negative, or 0 where they begin
-   * at 1, outside all segments. Segments are counted by ascending label. Data NULL: not segmented.
+  /* 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without;
+   * negative, or 0 where they begin at 1, outside all segments. Segments are counted by
+   * ascending label. Data NULL: not segmented.
    */
   cophase_input segments;
-  /* modes x n x n: wavefront of each NCPA mode, nm per nm of its coefficient. Data NULL: the scene's modes. */
+  /* modes x n x n: wavefront of each NCPA mode, nm per nm of its coefficient. Data NULL: the
+   * scene's modes.
+   */
   cophase_input modes;
   /* 1 x n x n: diversity, nm of wavefront. Data NULL: the scene's. */
   cophase_input diversity_nm;
@@ -381,8 +412,8 @@ typedef struct {
   size_t cols;
   /* Rows, and columns, of a wavefront map. */
   size_t samples;
-  /* Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling; of several
-   * channels, those of the first.
+  /* Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced
+   * to the model's sampling; of several channels, those of the first.
    */
   size_t pixels;
   /* Number of channels, which have the same modes; 1 for a scene that lists none. */
@@ -391,18 +422,20 @@ typedef struct {
 
 /* Builds the model of a scene; about half a second for each channel at the size of Keck.
  *
- * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
- *   takes some seconds.
+ * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model
+ *   is planned first, which takes some seconds.
  * directory: directory of the files that the scene names; NULL for the working directory.
- * arrays: telescope of the caller's instead of that of a scene with one channel; NULL for the scene's. The arrays are copied. They
- *   have the effect of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment
- *   pistons (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes
- *   says otherwise.
+ * arrays: telescope of the caller's instead of that of a scene with one channel; NULL for the
+ *   scene's. The arrays are copied. They have the effect of the same maps in the files pupil.file,
+ *   modes.file and image.diversity_file; the rest is the scene's. Segment pistons (modes.segment)
+ *   come before the modes of the arrays, and Zernikes to Noll 21 follow them unless
+ *   modes.exact_zernikes says otherwise.
  * model: receives the handle.
  *
- * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and
- * estimate.fit_optics, which only an estimator honours. COPHASE_BAD_FILE for a file of the scene. COPHASE_BAD_SHAPE,
- * COPHASE_BAD_VALUE for arrays that do not fit one another or are no pupil or modes.
+ * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method =
+ * "full-phase" and estimate.fit_optics, which only an estimator honours. COPHASE_BAD_FILE for a
+ * file of the scene. COPHASE_BAD_SHAPE, COPHASE_BAD_VALUE for arrays that do not fit one another
+ * or are no pupil or modes.
  */
 cophase_status cophase_model_create(const char *scene_text,
                                     const char *directory,
@@ -418,7 +451,8 @@ cophase_status cophase_model_get_info(const cophase_model *model, cophase_model_
 /* Model of one of the channels of a model, in the order of the scene.
  *
  * channel: number of the channel, from 0.
- * name: receives its name, a text that lives as long as `model`, empty for a scene that lists no channels; NULL if it is not wanted.
+ * name: receives its name, a text that lives as long as `model`, empty for a scene that lists no
+ *   channels; NULL if it is not wanted.
  * channel_model: receives a handle, which the caller destroys; NULL if it is not wanted.
  *
  * COPHASE_BAD_VALUE for a channel that the model does not have.
@@ -428,14 +462,15 @@ cophase_status cophase_model_channel(const cophase_model *model,
                                      const char **name,
                                      cophase_model **channel_model);
 
-/* Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model. COPHASE_BAD_VALUE for no such mode. */
-cophase_status cophase_model_mode_name(const cophase_model *model,
-                                       size_t mode,
-                                       const char **name);
+/* Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model.
+ * COPHASE_BAD_VALUE for no such mode.
+ */
+cophase_status cophase_model_mode_name(const cophase_model *model, size_t mode, const char **name);
 
 /* Wavefront of some coefficients, nm; NaN outside the pupil.
  *
- * coefficients_nm: `modes` numbers. out: receives 2 x samples x samples numbers: map 0 the segments, map 1 the NCPA.
+ * coefficients_nm: `modes` numbers. out: receives 2 x samples x samples numbers: map 0 the
+ *   segments, map 1 the NCPA.
  * count: their number.
  */
 cophase_status cophase_model_wavefront_nm(const cophase_model *model,
@@ -444,8 +479,9 @@ cophase_status cophase_model_wavefront_nm(const cophase_model *model,
                                           double *out,
                                           size_t count);
 
-/* PSF of some coefficients with the diversity of a model with one channel, at the pixels that are compared. Its sum over an unbounded
- * detector would be 1. The optical axis is on row and column pixels/2.
+/* PSF of some coefficients with the diversity of a model with one channel, at the pixels that are
+ * compared. Its sum over an unbounded detector would be 1. The optical axis is on row and column
+ * pixels/2.
  *
  * coefficients_nm: `modes` numbers. out: receives pixels x pixels numbers. count: their number.
  *
@@ -486,11 +522,11 @@ typedef struct cophase_estimate cophase_estimate;
 /* Stage: static errors are separated from the turbulence (MAP). */
 #define COPHASE_STAGE_SEPARATING 6
 
-/* Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP, estimate.method =
- * "full-phase") as the scene says. It can be used again and again.
+/* Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP,
+ * estimate.method = "full-phase") as the scene says. It can be used again and again.
  *
- * One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and cophase_estimator_progress, which any
- * thread may call at any time.
+ * One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and
+ * cophase_estimator_progress, which any thread may call at any time.
  */
 typedef struct cophase_estimator cophase_estimator;
 
@@ -500,7 +536,9 @@ typedef struct {
   size_t struct_size;
   /* COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME. */
   int32_t policy;
-  /* Number of threads, at most 64 or four for each processor; 0 or -1 for one per processor. Results do not depend on it. */
+  /* Number of threads, at most 64 or four for each processor; 0 or -1 for one per processor.
+   * Results do not depend on it.
+   */
   int32_t threads;
 } cophase_estimator_options;
 
@@ -508,44 +546,54 @@ typedef struct {
 typedef struct {
   /* sizeof(cophase_estimate_options). */
   size_t struct_size;
-  /* Calibration of the frames; NULL: frames are electrons, or counts where the scene has image.gain_e_per_adu. */
+  /* Calibration of the frames; NULL: frames are electrons, or counts where the scene has
+   * image.gain_e_per_adu.
+   */
   const cophase_calibration *calibration;
   /* Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1. */
   double read_noise_e;
-  /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's. */
+  /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
+   *   scene's.
+   */
   int64_t has_read_noise;
 } cophase_estimate_options;
 
-/* Images of one channel: of the only one of a scene, or of one that it lists ([[image.channel]]). The layout of this struct is permanent. */
+/* Images of one channel: of the only one of a scene, or of one that it lists ([[image.channel]]).
+ * The layout of this struct is permanent.
+ */
 typedef struct {
-  /* Name of the channel, UTF-8; NULL for all: they are in the order of the scene. NULL where the scene lists no channels. */
+  /* Name of the channel, UTF-8; NULL for all: they are in the order of the scene. NULL where the
+   * scene lists no channels.
+   */
   const char *channel;
-  /* Images of the same static errors, count x rows x cols as the channel says. Of frames with one row or column more the last
-   * is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part, are those
-   * of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column cols/2,
-   * rounded down.
+  /* Images of the same static errors, count x rows x cols as the channel says. Of frames with
+   * one row or column more the last is left out, which COPHASE_TEXT_REMARKS says; the
+   * calibration then has it, too. Bad pixels, which take no part, are those of the calibration,
+   * values that are not finite, and saturated ones. The optical axis is on row rows/2 and column
+   * cols/2, rounded down.
    */
   const cophase_input *frames;
   /* Its options; NULL for the defaults. */
   const cophase_estimate_options *options;
-  /* Telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure, along x for every
-   * subaperture, then along y; NaN for all of an image without telemetry; NULL without any. Of its exposures, also where the
-   * channels are simultaneous. Slopes are used where every channel has them.
+  /* Telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over
+   * each exposure, along x for every subaperture, then along y; NaN for all of an image without
+   * telemetry; NULL without any. Of its exposures, also where the channels are simultaneous.
+   * Slopes are used where every channel has them.
    */
   const cophase_input *slopes_mas;
 } cophase_channel_images;
 
 /* Makes an estimator of a scene.
  *
- * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
- *   takes some seconds. Nothing else is built before the first estimate; its model is kept for the next ones, unless a
- *   file that the scene names changes.
+ * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is
+ *   planned here, which takes some seconds. Nothing else is built before the first estimate; its
+ *   model is kept for the next ones, unless a file that the scene names changes.
  * directory: directory of the files that the scene names; NULL for the working directory.
  * options: NULL for the defaults.
  * estimator: receives the handle.
  *
- * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does not honour.
- * COPHASE_BAD_FILE for a file that the scene names and that does not exist.
+ * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does
+ * not honour. COPHASE_BAD_FILE for a file that the scene names and that does not exist.
  */
 cophase_status cophase_estimator_create(const char *scene_text,
                                         const char *directory,
@@ -555,31 +603,34 @@ cophase_status cophase_estimator_create(const char *scene_text,
 /* Frees an estimator; NULL is fine. Its estimates stay usable. */
 void cophase_estimator_destroy(cophase_estimator *estimator);
 
-/* Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED at its next safe
+/* Makes the estimate that is running in another thread, or else the next one, return
+ * COPHASE_INTERRUPTED at its next safe
  * place: within a second or two at the size of Keck. A signal handler may call it. [RT]
  */
 cophase_status cophase_estimator_cancel(const cophase_estimator *estimator);
 
 /* Progress of the estimate that is running in another thread. [RT]
  *
- * stage: receives a COPHASE_STAGE_ number. done, total: receive the steps (images) of this stage that are done, and their
- * number, 0 if it is unknown. Each may be NULL.
+ * stage: receives a COPHASE_STAGE_ number. done, total: receive the steps (images) of this stage
+ * that are done, and their number, 0 if it is unknown. Each may be NULL.
  */
 cophase_status cophase_estimator_progress(const cophase_estimator *estimator,
                                           int32_t *stage,
                                           uint64_t *done,
                                           uint64_t *total);
 
-/* Estimates the static wavefront behind images: of one channel, or of several (defocuses, wavelengths). What is wrong with single
- * images is in their reports; what to know of the whole is in COPHASE_TEXT_WARNINGS of the estimate.
+/* Estimates the static wavefront behind images: of one channel, or of several (defocuses,
+ * wavelengths). What is wrong with single images is in their reports; what to know of the whole is
+ * in COPHASE_TEXT_WARNINGS of the estimate.
  *
- * channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1 for a scene that
- *   lists none.
+ * channels: images of each channel of the scene, in any order where they are named. count: number
+ *   of channels; 1 for a scene that lists none.
  * estimate: receives the handle.
  *
- * COPHASE_BAD_SHAPE for images of other channels than the scene has, and for frames or slopes of another shape.
- * COPHASE_BAD_IMAGE if no image can be used (fewer than two in a MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the
- * telescope cannot be built. COPHASE_DEVICE if the device that the scene names is absent or fails. COPHASE_INTERRUPTED after
+ * COPHASE_BAD_SHAPE for images of other channels than the scene has, and for frames or slopes of
+ * another shape. COPHASE_BAD_IMAGE if no image can be used (fewer than two in a MAP estimate).
+ * COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the telescope cannot be built. COPHASE_DEVICE if the
+ * device that the scene names is absent or fails. COPHASE_INTERRUPTED after
  * cophase_estimator_cancel.
  */
 cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
@@ -592,17 +643,19 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
 /* Method of an estimate: static modes fitted to each image, images combined. */
 #define COPHASE_METHOD_MODAL 1
 
-/* Method of an estimate: maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the
- * turbulence.
+/* Method of an estimate: maximum a posteriori (MAP) wavefront behind each exposure, static errors
+ * separated from the turbulence.
  */
 #define COPHASE_METHOD_MAP 2
 
-/* Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the mirror's pitch and ordinary
- * seeing.
+/* Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the
+ * mirror's pitch and ordinary seeing.
  */
 #define COPHASE_AO_KNOWLEDGE_NOTHING 1
 
-/* Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control. */
+/* Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and
+ * control.
+ */
 #define COPHASE_AO_KNOWLEDGE_SPECTRUM 2
 
 /* Knowledge: also the closed loop's response to the segments. */
@@ -620,54 +673,66 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
 /* Array: covariance of the coefficients, nm^2; modes x modes. */
 #define COPHASE_ARRAY_COVARIANCE_NM2 3
 
-/* Array: coefficients of each image, nm, NaN for unusable images; images x modes. Modal estimates only. */
+/* Array: coefficients of each image, nm, NaN for unusable images; images x modes. Modal estimates
+ * only.
+ */
 #define COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM 4
 
-/* Array: maps of phasing errors, NCPA, and the standard deviation of each, nm, NaN outside the pupil; 4 x samples x samples. */
+/* Array: maps of phasing errors, NCPA, and the standard deviation of each, nm, NaN outside the
+ * pupil; 4 x samples x samples.
+ */
 #define COPHASE_ARRAY_MAPS_NM 5
 
-/* Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm RMS over the pupil;
- * error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and ncpa_sigma_nm.
+/* Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm
+ * RMS over the pupil; error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and
+ * ncpa_sigma_nm.
  */
 #define COPHASE_ARRAY_ERROR_BUDGET_NM 6
 
-/* Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront, which a positive piston raises;
- * segments.
+/* Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of
+ * wavefront, which a positive piston raises; segments.
  */
 #define COPHASE_ARRAY_CORRECTION_PISTONS_NM 7
 
-/* Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront, from which the mirror is
- * subtracted; actuators.
+/* Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of
+ * wavefront, from which the mirror is subtracted; actuators.
  */
 #define COPHASE_ARRAY_CORRECTION_ACTUATORS_NM 8
 
 /* Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2. */
 #define COPHASE_ARRAY_CORRECTION_ACTUATORS_M 9
 
-/* Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
- * then along y; slopes. The loop then puts the correction on the mirror. Without elements in a modal estimate, and without measured slopes.
+/* Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along
+ * x for every subaperture, then along y; slopes. The loop then puts the correction on the mirror.
+ * Without elements in a modal estimate, and without measured slopes.
  */
 #define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
 
-/* Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
- * the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
+/* Array: whole wavelengths of the first channel that were added to the piston of each segment,
+ * their probability, and the piston of the second most probable number relative to this one, nm;
+ * integers x 3. For channels of several wavelengths.
  */
 #define COPHASE_ARRAY_PISTON_INTEGERS 11
 
-/* Array, after cophase_estimate_correct: what to add to each channel of the segments' controller (scene section [commands]), in its
- * unit; segment_commands.
+/* Array, after cophase_estimate_correct: what to add to each channel of the segments' controller
+ * (scene section [commands]), in its unit; segment_commands.
  */
 #define COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS 12
 
-/* Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands. */
+/* Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller,
+ * in its unit; actuator_commands.
+ */
 #define COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS 13
 
-/* Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
- * segment; tilts. Without elements where the estimate has no tilts of segments.
+/* Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt
+ * of each, nm of wavefront RMS over the segment; tilts. Without elements where the estimate has no
+ * tilts of segments.
  */
 #define COPHASE_ARRAY_CORRECTION_TILTS_NM 14
 
-/* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
+/* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt
+ * removed.
+ */
 typedef struct {
   /* Number of images. */
   size_t images;
@@ -715,12 +780,12 @@ typedef struct {
   double wavefront_rms_nm;
   /* Expected error of both together, nm RMS; NaN in a MAP estimate. */
   double wavefront_sigma_nm;
-  /* Median reduced chi-square of the images that were used. Turbulence finer than the model's samples makes it 4 to 5
-   * behind a bright star in a MAP estimate.
+  /* Median reduced chi-square of the images that were used. Turbulence finer than the model's
+   * samples makes it 4 to 5 behind a bright star in a MAP estimate.
    */
   double reduced_chi2;
-  /* Further images like these that halve both error bars; infinity if no number does; NaN if unknown, as in a modal
-   * estimate.
+  /* Further images like these that halve both error bars; infinity if no number does; NaN if
+   * unknown, as in a modal estimate.
    */
   double images_to_halve;
   /* Side of a map, m. */
@@ -729,15 +794,17 @@ typedef struct {
   double seconds;
   /* Duration of building the model, s, where that is apart. */
   double model_seconds;
-  /* Measured slopes over those of the retrieved wavefronts, about 1 if the telemetry belongs to the images; NaN without
-   * telemetry.
+  /* Measured slopes over those of the retrieved wavefronts, about 1 if the telemetry belongs to
+   * the images; NaN without telemetry.
    */
   double telemetry_gain;
   /* Their correlation; NaN without telemetry. */
   double telemetry_correlation;
   /* Number of channels; 0 for a scene without ([[image.channel]]). */
   size_t channels;
-  /* Number of segments whose whole wavelengths were determined, rows of COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength. */
+  /* Number of segments whose whole wavelengths were determined, rows of
+   * COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength.
+   */
   size_t integers;
 } cophase_estimate_info;
 
@@ -751,8 +818,8 @@ cophase_status cophase_estimate_get_info(const cophase_estimate *estimate,
 
 /* Writes the reports on all images.
  *
- * reports: receives `count` reports of report_size bytes each. report_size: sizeof(cophase_image_report). count: images of
- * the estimate.
+ * reports: receives `count` reports of report_size bytes each. report_size:
+ * sizeof(cophase_image_report). count: images of the estimate.
  */
 cophase_status cophase_estimate_images(const cophase_estimate *estimate,
                                        cophase_image_report *reports,
@@ -763,8 +830,9 @@ cophase_status cophase_estimate_images(const cophase_estimate *estimate,
  *
  * what: a COPHASE_ARRAY_ number, which says shape and unit. out: receives `count` numbers.
  *
- * COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one. COPHASE_BAD_VALUE for an array that
- * this estimate does not have, and for COPHASE_ARRAY_CORRECTION_ arrays before cophase_estimate_correct.
+ * COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one.
+ * COPHASE_BAD_VALUE for an array that this estimate does not have, and for
+ * COPHASE_ARRAY_CORRECTION_ arrays before cophase_estimate_correct.
  */
 cophase_status cophase_estimate_array(const cophase_estimate *estimate,
                                       int32_t what,
@@ -773,8 +841,8 @@ cophase_status cophase_estimate_array(const cophase_estimate *estimate,
 
 /* Writes a text of an estimate.
  *
- * what: a COPHASE_TEXT_ number. index: which image, mode, term, channel or command; ignored for the other texts. text, capacity, length: as
- * in cophase_device_list.
+ * what: a COPHASE_TEXT_ number. index: which image, mode, term, channel or command; ignored for
+ * the other texts. text, capacity, length: as in cophase_device_list.
  *
  * COPHASE_BAD_VALUE for an index out of range.
  */
@@ -785,7 +853,9 @@ cophase_status cophase_estimate_text(const cophase_estimate *estimate,
                                      size_t capacity,
                                      size_t *length);
 
-/* Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be written. */
+/* Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be
+ * written.
+ */
 cophase_status cophase_estimate_write(const cophase_estimate *estimate, const char *path);
 
 /* Sizes of a correction. */
@@ -794,7 +864,9 @@ typedef struct {
   size_t segments;
   /* Number of the mirror's actuators; 0 where the scene names no mirror. */
   size_t actuators;
-  /* Number of slopes of the wavefront sensor; 0 where no slopes were measured, and in a modal estimate. */
+  /* Number of slopes of the wavefront sensor; 0 where no slopes were measured, and in a modal
+   * estimate.
+   */
   size_t slopes;
   /* NCPA modes that are corrected. */
   size_t corrected_modes;
@@ -812,25 +884,30 @@ typedef struct {
   size_t held_segment_modes;
   /* NCPA modes that are held. */
   size_t held_ncpa_modes;
-  /* Expected drop of the sum of squares of the segment modes (of the steps at edges by the convention edge-minimising), nm2. */
+  /* Expected drop of the sum of squares of the segment modes (of the steps at edges by the
+   * convention edge-minimising), nm2.
+   */
   double segments_drop_nm2;
   /* Expected drop of the sum of squares of the NCPA modes, nm2. */
   double ncpa_drop_nm2;
 } cophase_correction_report;
 
-/* Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
- * the controllers that the scene describes. The scene's section [commands] has gain, deadband and convention; errors whose correction is not
- * expected to lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About a second at the size of Keck
- * where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a
- * mode is held.
+/* Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the
+ * estimated errors, also in the terms of the controllers that the scene describes. The scene's
+ * section [commands] has gain, deadband and convention; errors whose correction is not expected to
+ * lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About
+ * a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
+ * COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a mode is held.
  *
- * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
- * wavelengths are known). The limits of the controllers' channels hold in addition.
+ * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the
+ * wavelength (none where the whole wavelengths are known). The limits of the controllers' channels
+ * hold in addition.
  * path: FITS file to write, or text for a name that ends in .txt, UTF-8; NULL for none.
  * report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
  *
- * COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons; COPHASE_BAD_FILE for a controller's table or
- * matrix that cannot be read or does not fit. COPHASE_BUSY while other threads read the estimate.
+ * COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons;
+ * COPHASE_BAD_FILE for a controller's table or matrix that cannot be read or does not fit.
+ * COPHASE_BUSY while other threads read the estimate.
  */
 cophase_status cophase_estimate_correct(cophase_estimate *estimate,
                                         double limit_nm,
@@ -842,21 +919,24 @@ cophase_status cophase_estimate_correct(cophase_estimate *estimate,
 
 /* Report on a group: one frame of each channel of a model. */
 typedef struct {
-  /* The worst status of its images, a COPHASE_IMAGE_ number; of several channels there is no joint result above
-   * COPHASE_IMAGE_WRONG_MINIMUM.
+  /* The worst status of its images, a COPHASE_IMAGE_ number; of several channels there is no
+   * joint result above COPHASE_IMAGE_WRONG_MINIMUM.
    */
   int32_t status;
-  /* 1 if the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, of
-   * another wavefront, or in another minimum; in several wavelengths also where a piston is more than half a wavelength from the start.
+  /* 1 if the channels differ by more than their noise: one is flipped, of another wavelength or
+   * diversity than the scene says, of another wavefront, or in another minimum; in several
+   * wavelengths also where a piston is more than half a wavelength from the start.
    */
   int32_t is_contradictory;
-  /* Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN for one channel, and without a joint
-   * result.
+  /* Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN
+   * for one channel, and without a joint result.
    */
   double reduced_chi2;
   /* Its degrees of freedom; 0 where the channels have no mode in common that both determine. */
   double freedom;
-  /* The smallest probability of the whole wavelengths of a piston; NaN where they were not sought: in one wavelength, and in a fit. */
+  /* The smallest probability of the whole wavelengths of a piston; NaN where they were not
+   * sought: in one wavelength, and in a fit.
+   */
   double piston_probability;
   /* Duration of the fits, s; NaN of a refinement. */
   double seconds;
@@ -868,20 +948,22 @@ typedef struct {
   size_t struct_size;
   /* Largest number of groups of a call, which are images of a model with one channel; 0 means 1. */
   size_t capacity;
-  /* Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for the scene's
-   * estimate.device. [RT] calls need "cpu".
+  /* Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for
+   * the scene's estimate.device. [RT] calls need "cpu".
    */
   const char *device;
-  /* COPHASE_F64 or COPHASE_F32 (half the memory, a third to half of the time, errors of 0.02 nm); 0 for the scene's
-   * estimate.precision.
+  /* COPHASE_F64 or COPHASE_F32 (half the memory, a third to half of the time, errors of 0.02
+   * nm); 0 for the scene's estimate.precision.
    */
   int32_t precision;
-  /* Threads of the CPU chain: 0 or 1 for the caller's own, which [RT] calls need; -1 for one per processor. */
+  /* Threads of the CPU chain: 0 or 1 for the caller's own, which [RT] calls need; -1 for one per
+   * processor.
+   */
   int32_t threads;
   /* Largest number of evaluations for one image; 0 for the scene's. */
   size_t max_evaluations;
-  /* A fit stops where neither a coefficient nor the RMS of the wavefront would change by more than this, nm; 0 for the
-   * scene's.
+  /* A fit stops where neither a coefficient nor the RMS of the wavefront would change by more
+   * than this, nm; 0 for the scene's.
    */
   double step_tolerance_nm;
 } cophase_session_options;
@@ -890,24 +972,32 @@ typedef struct {
 typedef struct {
   /* sizeof(cophase_fit_options). */
   size_t struct_size;
-  /* Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0 for no limit. */
+  /* Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0
+   * for no limit.
+   */
   double deadline_s;
   /* Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1. */
   double read_noise_e;
-  /* Starts of the fits, nm: count x modes in C order, each that of all channels of a group. NULL for a flat wavefront. */
+  /* Starts of the fits, nm: count x modes in C order, each that of all channels of a group. NULL
+   * for a flat wavefront.
+   */
   const double *start_nm;
-  /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's. */
+  /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
+   *   scene's.
+   */
   int64_t has_read_noise;
 } cophase_fit_options;
 
-/* Session: fits of images with a model, in memory that is allocated when it is created. It follows the policy
- * COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are rejected in the fit. The same frame gives the same bits,
- * with any other frames in the call.
+/* Session: fits of images with a model, in memory that is allocated when it is created. It follows
+ * the policy COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are
+ * rejected in the fit. The same frame gives the same bits, with any other frames in the call.
  *
- * A group is what sees one wavefront: one frame of each channel of the model, which is one image of a model with one channel. Each
- * channel is fitted by itself, and the fits of several channels are combined: the modes that they have in common.
+ * A group is what sees one wavefront: one frame of each channel of the model, which is one image
+ * of a model with one channel. Each channel is fitted by itself, and the fits of several channels
+ * are combined: the modes that they have in common.
  *
- * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
+ * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may
+ * call at any time.
  */
 typedef struct cophase_session cophase_session;
 
@@ -915,9 +1005,9 @@ typedef struct cophase_session cophase_session;
  *
  * options: NULL for the defaults. session: receives the handle.
  *
- * COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option out of range, and for a
- * scene with estimate.optimizer = "bfgs". COPHASE_BAD_SCENE for several channels of which one is in focus, which an estimator
- * takes.
+ * COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option
+ * out of range, and for a scene with estimate.optimizer = "bfgs". COPHASE_BAD_SCENE for several
+ * channels of which one is in focus, which an estimator takes.
  */
 cophase_status cophase_session_create(const cophase_model *model,
                                       const cophase_session_options *options,
@@ -926,40 +1016,47 @@ cophase_status cophase_session_create(const cophase_model *model,
 /* Frees a session; NULL is fine. */
 void cophase_session_destroy(cophase_session *session);
 
-/* Sets the calibration of later frames of a channel; the maps are copied. channel: its number in the model, from 0. calibration: NULL
- * where frames are electrons, or counts where the scene has image.gain_e_per_adu, as before the first call.
+/* Sets the calibration of later frames of a channel; the maps are copied. channel: its number in
+ * the model, from 0. calibration: NULL where frames are electrons, or counts where the scene has
+ * image.gain_e_per_adu, as before the first call.
  *
- * COPHASE_BAD_VALUE for a channel that the model does not have, and for bad pixels if the model reduces the sampling of frames, which
- * would smear them: such a camera needs estimate.sampling = "native" in its scene.
+ * COPHASE_BAD_VALUE for a channel that the model does not have, and for bad pixels if the model
+ * reduces the sampling of frames, which would smear them: such a camera needs estimate.sampling =
+ * "native" in its scene.
  */
 cophase_status cophase_session_calibrate(cophase_session *session,
                                          size_t channel,
                                          const cophase_calibration *calibration);
 
-/* Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one evaluation.
- * A signal handler may call it. [RT]
+/* Makes the fit that is running in another thread, or else the next one, return
+ * COPHASE_INTERRUPTED within one evaluation. A signal handler may call it. [RT]
  */
 cophase_status cophase_session_cancel(const cophase_session *session);
 
-/* Fits the model to frames, one channel after the other, and combines the fits of several channels. [RT]
+/* Fits the model to frames, one channel after the other, and combines the fits of several
+ * channels. [RT]
  *
- * frames: an array for each channel, in the order of the model, each count x rows x cols of its channel, count up to the session's
- *   capacity: frames k of all channels are group k. Values that are not finite are bad pixels. The optical axis is on row rows/2 and
- *   column cols/2.
+ * frames: an array for each channel, in the order of the model, each count x rows x cols of its
+ *   channel, count up to the session's capacity: frames k of all channels are group k. Values that
+ *   are not finite are bad pixels. The optical axis is on row rows/2 and column cols/2.
  * channels: number of channels of the model.
  * options: NULL for the defaults. The deadline holds for all frames together.
- * coefficients_nm: receives count x modes numbers in C order: of one channel those of each image, NaN for an unusable one; of several
- *   the modes that they have in common, NaN unless the fits of all channels of the group converged.
- * sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels; NULL if they are not wanted. The channels
- *   are weighed, and error bars are, as at a flat wavefront with the flux and the noise of the frames, scaled by chi-square where a model
- *   misfits or the channels contradict each other. NaN for one channel, whose covariance cophase_session_refine has.
+ * coefficients_nm: receives count x modes numbers in C order: of one channel those of each image,
+ *   NaN for an unusable one; of several the modes that they have in common, NaN unless the fits of
+ *   all channels of the group converged.
+ * sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels;
+ *   NULL if they are not wanted. The channels are weighed, and error bars are, as at a flat
+ *   wavefront with the flux and the noise of the frames, scaled by chi-square where a model
+ *   misfits or the channels contradict each other. NaN for one channel, whose covariance
+ *   cophase_session_refine has.
  * modes: the model's number of modes.
- * images: receives count x channels reports in C order, of image_size bytes each; NULL if they are not wanted. image_size:
- *   sizeof(cophase_image_report).
- * groups: receives count reports of group_size bytes each; NULL if they are not wanted. group_size: sizeof(cophase_group_report).
+ * images: receives count x channels reports in C order, of image_size bytes each; NULL if they are
+ *   not wanted. image_size: sizeof(cophase_image_report).
+ * groups: receives count reports of group_size bytes each; NULL if they are not wanted.
+ *   group_size: sizeof(cophase_group_report).
  *
- * The call succeeds where single images fail: their status is in their reports. COPHASE_INTERRUPTED after
- * cophase_session_cancel; nothing is written then.
+ * The call succeeds where single images fail: their status is in their reports.
+ * COPHASE_INTERRUPTED after cophase_session_cancel; nothing is written then.
  */
 cophase_status cophase_session_fit(cophase_session *session,
                                    const cophase_input *frames,
@@ -973,16 +1070,20 @@ cophase_status cophase_session_fit(cophase_session *session,
                                    cophase_group_report *groups,
                                    size_t group_size);
 
-/* Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF + background - data)^2 over the
- * pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
+/* Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF +
+ * background - data)^2 over the pixels of each image, with the flux and background that minimize
+ * it and the weights that a fit begins with. [RT]
  *
  * channel: number of the channel in the model, from 0, whose images they are.
- * frames: count x rows x cols of the channel; NULL for those of its last evaluation, if no fit came since.
- * options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the defaults.
+ * frames: count x rows x cols of the channel; NULL for those of its last evaluation, if no fit
+ *   came since.
+ * options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the
+ *   defaults.
  * coefficients_nm: count x modes numbers in C order. count: number of frames.
  * objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
  *
- * COPHASE_BAD_IMAGE for a frame that cannot be used. COPHASE_BAD_VALUE if frames is NULL and none are loaded.
+ * COPHASE_BAD_IMAGE for a frame that cannot be used. COPHASE_BAD_VALUE if frames is NULL and none
+ * are loaded.
  */
 cophase_status cophase_session_evaluate(cophase_session *session,
                                         size_t channel,
@@ -994,17 +1095,19 @@ cophase_status cophase_session_evaluate(cophase_session *session,
                                         double *objectives,
                                         double *gradients);
 
-/* The result of a group of the last fit with its covariance, in some hundred evaluations of each channel: of one channel that of the
- * noise, scaled by chi-square where the model misfits. The fits of several channels are combined by their information at the fitted
- * wavefronts, and the whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate finds in
- * these frames by the policy COPHASE_POLICY_REALTIME.
+/* The result of a group of the last fit with its covariance, in some hundred evaluations of each
+ * channel: of one channel that of the noise, scaled by chi-square where the model misfits. The
+ * fits of several channels are combined by their information at the fitted wavefronts, and the
+ * whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate
+ * finds in these frames by the policy COPHASE_POLICY_REALTIME.
  *
  * group: number of the group in the last fit, from 0.
- * coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each may be NULL. modes: the model's
- *   number of modes.
+ * coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each
+ *   may be NULL. modes: the model's number of modes.
  * report: NULL if it is not wanted. report_size: sizeof(cophase_group_report).
  *
- * COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels converged.
+ * COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels
+ * converged.
  */
 cophase_status cophase_session_refine(const cophase_session *session,
                                       size_t group,
@@ -1016,9 +1119,10 @@ cophase_status cophase_session_refine(const cophase_session *session,
 
 /* Writes a text of a session.
  *
- * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, with that of channels that contradict each other in the last fit,
- *   COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the last fit, group * channels + channel; ignored for the other
- *   texts. text, capacity, length: as in cophase_device_list.
+ * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, with that of channels that contradict
+ *   each other in the last fit, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the
+ *   last fit, group * channels + channel; ignored for the other texts. text, capacity, length: as
+ *   in cophase_device_list.
  *
  * COPHASE_BAD_VALUE for an image that was not in the last fit.
  */
@@ -1031,8 +1135,9 @@ cophase_status cophase_session_text(const cophase_session *session,
 
 /* ------------------------------------------ Sequence ------------------------------------------- */
 
-/* Sequence: the last images that sessions of a model fitted, and their running estimate. Calls that take it as const may
- * run in several threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
+/* Sequence: the last images that sessions of a model fitted, and their running estimate. Calls
+ * that take it as const may run in several threads at once, any other only while no other call
+ * runs (COPHASE_BUSY otherwise).
  */
 typedef struct cophase_sequence cophase_sequence;
 
@@ -1056,8 +1161,8 @@ typedef struct {
   double reduced_chi2;
 } cophase_sequence_report;
 
-/* Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
- * call. sequence: receives the handle.
+/* Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which
+ * need not outlive this call. sequence: receives the handle.
  *
  * COPHASE_BAD_VALUE for a model of several channels.
  */
@@ -1068,19 +1173,20 @@ cophase_status cophase_sequence_create(const cophase_model *model,
 /* Frees a sequence; NULL is fine. */
 void cophase_sequence_destroy(cophase_sequence *sequence);
 
-/* Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops
- * all images. [RT]
+/* Adds all images of a session's last fit, of any status; the oldest are dropped beyond the
+ * capacity. session NULL: drops all images. [RT]
  *
- * COPHASE_BAD_VALUE for a session of another model, or of several channels. COPHASE_BUSY while the session is in use.
+ * COPHASE_BAD_VALUE for a session of another model, or of several channels. COPHASE_BUSY while the
+ * session is in use.
  */
-cophase_status cophase_sequence_push(cophase_sequence *sequence,
-                                     const cophase_session *session);
+cophase_status cophase_sequence_push(cophase_sequence *sequence, const cophase_session *session);
 
-/* The estimate from the images so far: their mean, clipped mean or median, as the scene says (estimate.combine). From eight
- * images on, outliers are found by comparing images, and error bars are from the scatter between them.
+/* The estimate from the images so far: their mean, clipped mean or median, as the scene says
+ * (estimate.combine). From eight images on, outliers are found by comparing images, and error bars
+ * are from the scatter between them.
  *
- * coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives
- *   modes x modes numbers. Each may be NULL.
+ * coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations.
+ *   covariance_nm2: receives modes x modes numbers. Each may be NULL.
  * modes: the model's number of modes.
  * report: NULL if it is not wanted. report_size: sizeof(cophase_sequence_report).
  *
@@ -1094,10 +1200,11 @@ cophase_status cophase_sequence_estimate(const cophase_sequence *sequence,
                                          cophase_sequence_report *report,
                                          size_t report_size);
 
-/* Number of further images like those so far that bring both error bars (nm RMS over the pupil) down to the given ones, in
- * `*images`; 0 if they are. Infinity accepts any error bar.
+/* Number of further images like those so far that bring both error bars (nm RMS over the pupil)
+ * down to the given ones, in `*images`; 0 if they are. Infinity accepts any error bar.
  *
- * COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no image was fitted.
+ * COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no
+ * image was fitted.
  */
 cophase_status cophase_sequence_images_needed(const cophase_sequence *sequence,
                                               double phasing_nm,
