@@ -114,11 +114,12 @@ fn a_cube_in_tiles_is_fitted_to_the_same_bits() {
         let bad = images_e.mapv(|_| false);
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
         let together = estimator.estimate(&mut chain, cube, &control).unwrap();
-        // Each image is a step, and what follows the fits is none.
+        // Each image is a step, of which a device may end several at once; what follows the fits is
+        // none.
         let seen = seen.lock().unwrap();
         let fits: Vec<u64> =
             seen.iter().filter(|(stage, _)| *stage != Stage::Combining).map(|(_, done)| *done).collect();
-        assert_eq!(fits, (1..=7).collect::<Vec<u64>>(), "{name}");
+        assert!(fits.is_sorted() && fits.last() == Some(&7), "{name}: {fits:?}");
         assert_eq!(seen.last(), Some(&(Stage::Combining, 0)), "{name}");
         for image in 0..7 {
             let alone = estimate_of(&estimator, &mut chain, &images_e.slice(s![image..=image, .., ..]).to_owned());
