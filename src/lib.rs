@@ -30,9 +30,16 @@
 //! let images = Images::simulated(&scene)?; // or Images::read("images.fits", None)?, Images::new(array)
 //! let estimate = Estimator::new(&scene)?.estimate(&images)?;
 //! println!("{}", estimate.report());
+//! for (name, nm) in estimate.basis.names.iter().zip(&estimate.modes.coefficients_nm) {
+//!     println!("{name}: {nm:.2} nm");
+//! }
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! A scene is TOML text that describes telescope, camera and estimate: [`Scene::preset`] has some
+//! built in, [`Scene::from_file`] reads one, and `cophase scene --reference` lists all keys.
+//! `docs/rust.md` has more.
 //!
 //! # What is here
 //!
@@ -41,7 +48,7 @@
 //! | images to an estimate | [`Scene`], [`Images`], [`Estimator`], [`Estimate`]; the types of its fields are in [`pipeline`] |
 //! | progress, cancellation, the choices of an estimate | [`Control`], [`Policy`] |
 //! | corrections of segments and mirror | [`Estimate::corrections`], [`pipeline::Corrections`] |
-//! | frames with a deadline, without allocation | [`Session`] |
+//! | frames with a deadline, without allocation | [`Session`] of [`ChannelFitters`] |
 //! | the running estimate of a sequence | [`Accumulator`] |
 //! | a telescope as arrays | [`ModalFitter::from_arrays`] |
 //! | drift, jumps and corrections of a night | [`tracking::Tracker`] |
