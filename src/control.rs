@@ -207,8 +207,8 @@ impl Control {
         if self.is_cancelled() { Err(Error::Interrupted(state())) } else { Ok(()) }
     }
 
-    /// Changes the progress under the lock of the observer, so that the numbers that it is shown
-    /// grow.
+    /// Changes the progress under the lock of the observer, so that the counts that it sees never
+    /// fall.
     fn change(&self, change: impl FnOnce(&Shared)) {
         if self.is_silent {
             return;

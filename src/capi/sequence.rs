@@ -134,7 +134,7 @@ pub unsafe extern "C" fn cophase_sequence_estimate(
 ) -> cophase_status {
     unsafe {
         read(sequence, |sequence| {
-            check_modes(modes, sequence.estimator().model().optics.modes())?;
+            check_modes(modes, sequence.fitter().model().optics.modes())?;
             let report = Outputs::new(report, report_size, ("report", "report_size"))?;
             let outputs =
                 [(coefficients_nm, "coefficients_nm"), (sigma_nm, "sigma_nm"), (covariance_nm2, "covariance_nm2")];

@@ -44,7 +44,7 @@ pub(super) struct Working {
 
 impl Working {
     fn new(session: Session) -> Result<Self> {
-        let calibrations = session.channels().iter().map(|channel| electrons_of(channel.estimator()));
+        let calibrations = session.channels().iter().map(|channel| electrons_of(channel.fitter()));
         Ok(Self { calibrations: calibrations.collect::<Result<_>>()?, session })
     }
 

@@ -15,9 +15,9 @@ use super::fitter::ModalFitter;
 use super::model::Model;
 use super::prepare::PreparedFrame;
 use crate::imaging::Precision;
+use crate::modal::assess::image_covariances::ImageCovariances;
 use crate::modal::assess::mean_residual::{EXPLAINED, mean_residual_chi2};
 use crate::modal::assess::residual::variance;
-use crate::modal::assess::spread::Spread;
 use crate::modal::assess::status::{ImageReport, Selection, Status};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::global_motions::GlobalMotions;
@@ -176,12 +176,12 @@ pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
 }
 
 /// Combines the fits of all images of a call.
-pub(super) fn combine(estimator: &ModalFitter, mut fitted: FittedCube) -> Result<ModalEstimate> {
-    let (model, motions) = (&estimator.model, &estimator.motions);
-    let ImageFits { coefficients_nm: image_coefficients_nm, reports: images } = fitted.assess(estimator);
+pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube) -> Result<ModalEstimate> {
+    let (model, motions) = (&fitter.model, &fitter.motions);
+    let ImageFits { coefficients_nm: image_coefficients_nm, reports: images } = fitted.assess(fitter);
     let FittedCube { indices, prepared, minima, .. } = &fitted;
     let reports: Vec<ImageReport> = indices.iter().map(|&image| images[image]).collect();
-    let how = estimator.recipe.combine;
+    let how = fitter.recipe.combine;
     let fitted_reports: Vec<&ImageReport> = reports.iter().collect();
     let fitted_nm = image_coefficients_nm.select(Axis(0), indices);
     let Selection { used, clipped } = Selection::new(&fitted_reports, &fitted_nm, how);
@@ -189,13 +189,13 @@ pub(super) fn combine(estimator: &ModalFitter, mut fitted: FittedCube) -> Result
     let used_nm = fitted_nm.select(Axis(0), &used);
     let coefficients_nm = centre(motions, &used_nm, how);
     let (mut single, fisher) = if is_sequence(&fitted_reports) {
-        let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
+        let (noise_nm2, fisher) = noise_at(fitter, &prepared[first], &minima[first], &coefficients_nm)?;
         let scatter_nm2 = motions.removed_from(&scatter(&used_nm, how, &noise_nm2));
         (SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher)
     } else {
-        few_images(estimator, prepared, minima, &reports, &used, &used_nm)?
+        few_images(fitter, prepared, minima, &reports, &used, &used_nm)?
     };
-    let mean_residual_chi2 = mean_residual_chi2(estimator, prepared, minima, &reports, &used);
+    let mean_residual_chi2 = mean_residual_chi2(fitter, prepared, minima, &reports, &used);
     let shrinkage = shrinkage_of_variance(how, used.len());
     // The noise of a few images is scaled by their own χ² already.
     let scaled = if is_sequence(&fitted_reports) { 1.0 } else { scale_of_noise(&reports, &used) };
@@ -207,9 +207,9 @@ pub(super) fn combine(estimator: &ModalFitter, mut fitted: FittedCube) -> Result
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     Ok(ModalEstimate {
         combine: how,
-        combined: Combination::new(estimator, likelihood.clone(), images_of(&used), images_of(&clipped))?,
+        combined: Combination::new(fitter, likelihood.clone(), images_of(&used), images_of(&clipped))?,
         mean_residual_chi2,
-        compared: fitted_image(estimator, &minima[first], &prepared[first]),
+        compared: fitted_image(fitter, &minima[first], &prepared[first]),
         degeneracy: Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW)?,
         images,
         image_coefficients_nm,
@@ -297,15 +297,15 @@ pub(super) fn centre(motions: &GlobalMotions, used_nm: &Array2<f64>, how: Combin
 /// of the whole sequence. One matrix serves all images, because the noise is the smallest part of
 /// their scatter.
 fn noise_at(
-    estimator: &ModalFitter,
+    fitter: &ModalFitter,
     prepared: &PreparedFrame,
     minimum: &Minimum,
     coefficients_nm: &[f64],
 ) -> Result<(Array2<f64>, Array2<f64>)> {
     let minimum = Minimum { coefficients_nm: coefficients_nm.to_vec(), ..minimum.clone() };
-    let psf = estimator.reference.psf(ArrayView1::from(coefficients_nm));
+    let psf = fitter.reference.psf(ArrayView1::from(coefficients_nm));
     let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
-    let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
+    let spread = ImageCovariances::new(fitter, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
     Ok((spread.covariance(0).clone(), spread.fisher(0).clone()))
 }
 
@@ -319,7 +319,7 @@ fn scale_of_noise(reports: &[ImageReport], used: &[usize]) -> f64 {
 /// on that of their scatter where it is larger (a static wavefront under a changing one scatters
 /// more than its noise).
 fn few_images(
-    estimator: &ModalFitter,
+    fitter: &ModalFitter,
     prepared: &[PreparedFrame],
     minima: &[Minimum],
     reports: &[ImageReport],
@@ -327,16 +327,16 @@ fn few_images(
     used_nm: &Array2<f64>,
 ) -> Result<(SingleImage, Array2<f64>)> {
     let variance_e2 = |&image: &usize| {
-        let psf = estimator.reference.psf(ArrayView1::from(&minima[image].coefficients_nm));
+        let psf = fitter.reference.psf(ArrayView1::from(&minima[image].coefficients_nm));
         variance(&psf, &minima[image], &prepared[image].floor_variance_e2)
     };
     let count = used.len() as f64;
-    let mut noise_nm2 = Array2::<f64>::zeros([estimator.model.optics.modes(); 2]);
+    let mut noise_nm2 = Array2::<f64>::zeros([fitter.model.optics.modes(); 2]);
     let mut fisher = None;
     // Where no fit converged there may be many images, and each keeps two matrices.
     for images in used.chunks(SEQUENCE) {
         let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
-        let spread = Spread::new(estimator, images, prepared, minima, &variances)?;
+        let spread = ImageCovariances::new(fitter, images, prepared, minima, &variances)?;
         for (place, &image) in images.iter().enumerate() {
             noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(place));
         }
@@ -361,10 +361,10 @@ pub(super) fn covariance_with_scatter(mut noise_nm2: Array2<f64>, used_nm: &Arra
 }
 
 /// The image of a fit beside its model.
-pub(super) fn fitted_image(estimator: &ModalFitter, minimum: &Minimum, prepared: &PreparedFrame) -> FittedImage {
-    let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
+pub(super) fn fitted_image(fitter: &ModalFitter, minimum: &Minimum, prepared: &PreparedFrame) -> FittedImage {
+    let psf = fitter.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
     let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-    let size = estimator.model.preparation.pixels;
+    let size = fitter.model.preparation.pixels;
     let pixel = |(v, u): (usize, usize)| v * size + u;
     let model_e = Array2::from_shape_fn((size, size), |at| minimum.flux_e * psf[pixel(at)] + minimum.background_e);
     let data_e = Array2::from_shape_fn((size, size), |at| {

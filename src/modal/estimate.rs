@@ -2,7 +2,7 @@
 //! restarted, images combined.
 
 pub(in crate::modal) mod image_fits;
-pub(in crate::modal) mod scene_fit;
+pub(in crate::modal) mod scene_fitter;
 
 use super::combine::{ModalEstimate, combine};
 use super::fitter::ModalFitter;

@@ -37,7 +37,7 @@ use search::ParameterSearch;
 /// # Errors
 /// Those of [`ModalFitter::new`] and of fits; [`Error::Scene`] for parameters that the scene does
 /// not have; [`Error::Interrupted`].
-pub(super) fn estimator(
+pub(super) fn fitter(
     scene: &System,
     recipe: &Recipe,
     cube: Cube,
@@ -56,14 +56,14 @@ pub(super) fn estimator(
 /// itself excludes.
 const WORTH_FITTING: f64 = 0.2;
 
-/// As [`estimator`], for the only parameter that `scene` names, with the Karhunen-Loève basis of
+/// As [`fitter`], for the only parameter that `scene` names, with the Karhunen-Loève basis of
 /// `cache`, without another search for outlier pixels, and with the median reduced χ² of the images
 /// with the scene's value and with the fitted one. The fit starts from the scene's value times
 /// `factor` where χ² is lower there. `None` where a first step shows that the parameter does not
 /// explain the residual.
 ///
 /// # Errors
-/// As [`estimator`].
+/// As [`fitter`].
 pub(crate) fn explaining_fit(
     scene: &System,
     recipe: &Recipe,
@@ -113,7 +113,7 @@ pub(crate) struct OpticsStart<'a> {
 /// The fit begins at `start` where χ² is lower there than with the scene's values.
 ///
 /// # Errors
-/// As [`estimator`].
+/// As [`fitter`].
 pub(crate) fn fit_together(
     scene: &System,
     recipe: &Recipe,

@@ -184,11 +184,11 @@ impl Session {
         }
         let found = self.channels.iter().map(|channel| {
             let fitted = FittedCube::from_fits(vec![channel.fits()[group].clone()]);
-            combine(channel.estimator(), fitted).map_err(|error| error.of_channel(channel.name()))
+            combine(channel.fitter(), fitted).map_err(|error| error.of_channel(channel.name()))
         });
         let found = found.collect::<Result<Vec<_>>>()?;
         let each: Vec<_> =
-            self.channels.iter().zip(&found).map(|(channel, found)| (&**channel.estimator(), found)).collect();
+            self.channels.iter().zip(&found).map(|(channel, found)| (&**channel.fitter(), found)).collect();
         let joint = joint(self.fitters.scene(), &each)?;
         Ok(RefinedGroup {
             disagreement: joint.disagreement,
@@ -268,7 +268,7 @@ impl Session {
             None => result.coefficients_nm.copy_from_slice(&channels[0].results()[group].coefficients_nm),
             Some(combiner) if result.status.has_converged() => {
                 let fits = channels.iter().map(|channel| FittedChannel {
-                    fitter: channel.estimator(),
+                    fitter: channel.fitter(),
                     fit: &channel.fits()[group],
                     result: &channel.results()[group],
                 });

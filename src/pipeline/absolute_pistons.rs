@@ -4,7 +4,7 @@
 //! A wavefront is retrieved about a static one, and pistons beyond a quarter of a wavelength need
 //! one that is near. That of each wavelength comes from modal fits: turbulence leaves them tens of
 //! nm off, and whole wavelengths. The static errors from the wavefronts of each wavelength about it
-//! tell the whole wavelengths. In these the loop is taken as unknown: its response to a piston
+//! determine the whole wavelengths. In these the loop is taken as unknown: its response to a piston
 //! depends on whole wavelengths of the image, because its sensor has another wavelength.
 
 use super::consistency::Electrons;
@@ -35,8 +35,8 @@ pub(super) struct AbsolutePistons {
     pub(super) integers: Vec<PistonInteger>,
 }
 
-/// What the wavelengths have in common.
-pub(super) struct Colours<'a, 'b> {
+/// A sequence in several wavelengths: its images, their retrievers, and how they are read.
+pub(super) struct SequenceInColours<'a, 'b> {
     /// The channels, with images and retrievers.
     pub(super) channels: &'a [SequenceChannel<'a>],
     pub(super) sequences: &'a [ChannelSequence<'b>],
@@ -47,8 +47,8 @@ pub(super) struct Colours<'a, 'b> {
     pub(super) control: &'a Control,
 }
 
-impl Colours<'_, '_> {
-    /// Estimates the pistons, whose whole wavelengths the channels tell together.
+impl SequenceInColours<'_, '_> {
+    /// Estimates the pistons, with whole wavelengths from all channels together.
     ///
     /// # Errors
     /// Those of the fits and of the static errors; [`Error::Interrupted`].

@@ -78,7 +78,7 @@ pub enum MethodResult {
     Modal(ModalSummary),
     /// Maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the
     /// turbulence.
-    FullPhase(MapSummary),
+    FullPhase(FullPhaseSummary),
 }
 
 /// Fits of a modal estimate.
@@ -169,7 +169,7 @@ pub struct Comparison {
 
 /// Iterations of a MAP estimate, and what was assumed of the adaptive optics.
 #[derive(Debug, Clone)]
-pub struct MapSummary {
+pub struct FullPhaseSummary {
     /// What was assumed of the adaptive optics.
     pub ao_knowledge: AoKnowledge,
     /// Measured slopes against those of the retrieved wavefronts; `None` without telemetry.
@@ -257,7 +257,7 @@ impl MethodResult {
     }
 }
 
-impl MapSummary {
+impl FullPhaseSummary {
     /// The last iteration, which is the estimate.
     pub(crate) fn last(&self) -> Result<&Iteration> {
         self.iterations.last().ok_or_else(|| Error::Internal("no iteration was made".into()))
@@ -292,7 +292,7 @@ impl Estimate {
     }
 
     /// What a MAP estimate has; `None` for a modal estimate.
-    pub fn full_phase(&self) -> Option<&MapSummary> {
+    pub fn full_phase(&self) -> Option<&FullPhaseSummary> {
         match &self.method {
             MethodResult::Modal(_) => None,
             MethodResult::FullPhase(map) => Some(map),

@@ -10,7 +10,7 @@ use super::parts::PartFits;
 use super::policy::Policy;
 use super::pupil_turns::TurnedImages;
 use super::scene_files::{FileState, check_for_estimate, file_states};
-use super::{channels, map};
+use super::{channels, full_phase};
 use crate::control::{Control, Stage};
 use crate::modal::{ModelCache, StaticMaps, check_frame_shape};
 use crate::planner;
@@ -126,10 +126,10 @@ impl Estimator {
             return Ok(estimate);
         }
         let cut = self.cut(&in_order);
-        let Ready { scene, channels, notes, remarks } = self.ready(&in_order, &cut)?;
+        let EstimateInput { scene, channels, notes, remarks } = self.ready(&in_order, &cut)?;
         let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
-            Method::FullPhase => map::estimate(&scene, policy, control, &channels),
+            Method::FullPhase => full_phase::estimate(&scene, policy, control, &channels),
             Method::Modal | Method::Auto => {
                 let series = self.series(parts, &scene, &channels)?;
                 channels::estimate(&scene, policy, control, &channels, series)
@@ -158,7 +158,7 @@ impl Estimator {
     }
 
     /// What an estimate from the images of all channels works on.
-    pub(super) fn ready<'a>(&'a self, images: &[&Images], cut: &'a [CutImages]) -> Result<Ready<'a>> {
+    pub(super) fn ready<'a>(&'a self, images: &[&Images], cut: &'a [CutImages]) -> Result<EstimateInput<'a>> {
         let planned_scenes = self.scene.each_channel();
         // A plan of several channels is of all together, and holds where a file replaces a value of
         // one.
@@ -194,15 +194,15 @@ impl Estimator {
             [ChannelImages { name: None, scene, .. }] => scene.clone(),
             _ => with_method(&self.scene, channels[0].scene.estimate.method)?,
         };
-        Ok(Ready { scene, channels, notes: shortfall.into_iter().chain(notes).collect(), remarks })
+        Ok(EstimateInput { scene, channels, notes: shortfall.into_iter().chain(notes).collect(), remarks })
     }
 }
 
 /// Images in the size that is fitted, and a sentence where that is smaller.
 pub(super) type CutImages<'a> = (Cow<'a, Images>, Option<String>);
 
-/// What an estimate works on.
-pub(super) struct Ready<'a> {
+/// Input of an estimate: checked channels, and the scene with plan and method applied.
+pub(super) struct EstimateInput<'a> {
     /// The scene with the choices of its plan and the method; one without channels with the file's
     /// values that are trusted, too.
     pub(super) scene: Scene,

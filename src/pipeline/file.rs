@@ -1,6 +1,6 @@
 //! Estimate file: FITS, in the layout of the conventions.
 
-use super::estimate::{Estimate, MapSummary, OpticalParameter};
+use super::estimate::{Estimate, FullPhaseSummary, OpticalParameter};
 use super::{ErrorTerm, ImageOutcome};
 use crate::Result;
 use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
@@ -163,7 +163,7 @@ fn optics(file: &mut FitsWriter, optics: &[OpticalParameter]) -> Result<()> {
     file.table("OPTICS", &columns)
 }
 
-fn iterations(file: &mut FitsWriter, map: &MapSummary) -> Result<()> {
+fn iterations(file: &mut FitsWriter, map: &FullPhaseSummary) -> Result<()> {
     let reals = |value: &dyn Fn(&Iteration) -> f64| map.iterations.iter().map(value).collect::<Vec<f64>>();
     let columns = [
         Column::f64("PHASING_CHANGE_NM", "nm", reals(&|iteration| iteration.change_nm[0])),

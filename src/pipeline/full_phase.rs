@@ -2,7 +2,7 @@
 //! static errors that all share.
 
 use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
-use super::estimate::{Basis, Estimate, Figures, MapSummary, MethodResult, OpticalParameter, Run};
+use super::estimate::{Basis, Estimate, Figures, FullPhaseSummary, MethodResult, OpticalParameter, Run};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::sequence::{self, SequenceResult};
@@ -26,8 +26,8 @@ use std::time::Instant;
 /// pixels modelled as points make it 8. That is at [`EXPLAINED_AT_NM`].
 const EXPLAINED: f64 = 6.0;
 const EXPLAINED_AT_NM: f64 = 2168.6;
-/// Largest ratio of the excess over 1 that is explained in another wavelength; that of 1.64 µm is
-/// 3. The light that turbulence scatters grows as λ⁻², and the excess as its square: of 25 images
+/// Largest ratio of the excess over 1 that is explained in another wavelength; that of 1.64 µm is 3.
+/// The light that turbulence scatters grows as λ⁻², and the excess as its square: of 25 images
 /// each behind Keck's loop, at one resolution, those at 2.17 µm have a χ² of 4 and those at 1.64 µm
 /// 14.
 const LARGEST_RATIO: f64 = 4.0;
@@ -128,7 +128,7 @@ pub(super) fn estimate(
     let why = "a full-phase estimate reads defocused images";
     let mut sentences: Vec<String> = in_focus.iter().map(|channel| left_out_warning(channel, why)).collect();
     sentences.extend(ignored);
-    sentences.extend(warnings::map_warnings(&found, last, has_settled, is_misfit));
+    sentences.extend(warnings::full_phase_warnings(&found, last, has_settled, is_misfit));
     if slopes_mas.is_some() && found.ao_knowledge < AoKnowledge::Telemetry {
         sentences.push(
             "the slopes that come with the images are ignored: the scene has no [wavefront_sensor] and [control]"
@@ -172,7 +172,7 @@ pub(super) fn estimate(
         pupil,
         run: Run { device: found.device, precision: scene.estimate.precision().into(), seconds, model_seconds: 0.0 },
         truth: None,
-        method: MethodResult::FullPhase(MapSummary {
+        method: MethodResult::FullPhase(FullPhaseSummary {
             ao_knowledge: found.ao_knowledge,
             telemetry: found.telemetry,
             iterations: found.iterations,

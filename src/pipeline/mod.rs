@@ -23,10 +23,10 @@ mod explain;
 mod file;
 mod foreign_truth;
 mod frame_estimator;
+mod full_phase;
 mod image_changes;
 mod images;
 mod instrument;
-mod map;
 mod misfit;
 mod modal;
 mod modal_errors;
@@ -56,7 +56,7 @@ pub use crate::scene::{Optic, Setting};
 pub use crate::statics::{ErrorBudget, ErrorTerm, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
 pub use estimate::{
-    Basis, Comparison, Estimate, Figure, Figures, MapSummary, MethodResult, ModalSummary, OpticalParameter, Run,
+    Basis, Comparison, Estimate, Figure, Figures, FullPhaseSummary, MethodResult, ModalSummary, OpticalParameter, Run,
 };
 pub use estimator::Estimator;
 pub use foreign_truth::{ForeignComparison, ForeignTruth};
@@ -68,5 +68,4 @@ pub use outcome::ImageOutcome;
 pub use parts::{FittedPart, Part, PartFits};
 pub use piston_table::read_pistons;
 pub use policy::Policy;
-pub use scene_files::{check_scene_files, scene_files};
 pub use telemetry::TelemetryCheck;

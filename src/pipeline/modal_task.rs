@@ -47,7 +47,7 @@ impl ModalTask<'_> {
     /// Fits the images by the model of the scene; fits that `series` have are taken.
     ///
     /// # Errors
-    /// Those of [`modal::estimate_with`].
+    /// Those of [`modal::fitter_of`] and of [`ModalFitter::estimate`].
     pub(super) fn fit(&self, series: Option<&mut FitSeries>) -> Result<Fitted> {
         let started = Instant::now();
         self.control.enter(Stage::Preparing, 0);
@@ -153,16 +153,15 @@ impl ModalTask<'_> {
         // A model that explains the image does so at its first minimum; restarts of the others
         // would take most of the time.
         let (recipe, control) = (Recipe { restarts: 0, ..self.policy.recipe(scene) }, &self.control.silent());
-        let mut open = |fitter: &ModalFitter| {
-            let optics = fitter.model().optics.clone();
-            Chain::open_shared(optics, scene.estimate.device.into(), scene.estimate.precision().into(), 1)
+        let fitter = if scene.estimate.fit_optics.is_empty() {
+            modal::fitter_for(scene, recipe, self.cache, cube)?
+        } else {
+            let explaining = modal::explaining_fit(scene, &recipe, self.cache, cube, 1.0, control)?;
+            let Some((fitter, _)) = explaining else { return Ok(None) };
+            fitter
         };
-        if scene.estimate.fit_optics.is_empty() {
-            return modal::estimate_with(scene, recipe, self.cache, cube, &mut open, control).map(Some);
-        }
-        let explaining = modal::explaining_fit(scene, &recipe, self.cache, cube, 1.0, control)?;
-        let Some((fitter, _)) = explaining else { return Ok(None) };
-        let mut chain = open(&fitter)?;
+        let (optics, estimate) = (fitter.model().optics.clone(), &scene.estimate);
+        let mut chain = Chain::open_shared(optics, estimate.device.into(), estimate.precision().into(), 1)?;
         let found = fitter.estimate(&mut chain, cube, control)?;
         Ok(Some((fitter, found)))
     }

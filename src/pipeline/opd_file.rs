@@ -12,8 +12,8 @@ impl Estimate {
     /// POPPY's image of it is turned by 180 degrees, because its Fourier transform has the other
     /// sign.
     ///
-    /// The map holds the pistons of the segments, so there are no cards `S01PISTN`, ..., which
-    /// state what a map does not hold.
+    /// The pistons of the segments are in the map: cards `S01PISTN`, ... would add them a second
+    /// time and are not written.
     ///
     /// # Errors
     /// [`Error::File`](crate::Error::File) where the file cannot be written.

@@ -109,8 +109,8 @@ impl TurnedImages {
     }
 }
 
-/// Turns of the pupil in `images`, degrees: one, or one for each; `None` where there is no word of
-/// any.
+/// Turns of the pupil in `images`, degrees: one, or one for each; `None` where neither scene nor
+/// file gives any.
 fn turns_of(scene: &Scene, images: &Images) -> Result<Option<Vec<f64>>> {
     let own = scene.image.pupil_turns_deg.as_ref();
     let of_file = images.scene.as_ref().and_then(|of_file| of_file.image.pupil_turns_deg.as_ref());

@@ -1,4 +1,4 @@
-//! Remarks on an estimate: what holds of its images and its scene, and puts nothing in doubt.
+//! Remarks on an estimate: information that does not question the result.
 
 use crate::Result;
 use crate::modal::DiversityProjection;

@@ -1,6 +1,6 @@
 //! Report: an estimate as text.
 
-use super::estimate::{Estimate, Figure, Figures, MapSummary, OpticalParameter, Run};
+use super::estimate::{Estimate, Figure, Figures, FullPhaseSummary, OpticalParameter, Run};
 use super::images::counted;
 use super::telemetry::TelemetryCheck;
 use crate::modal::{RejectedPixels, Status};
@@ -142,7 +142,7 @@ fn telemetry(check: &TelemetryCheck) -> String {
     )
 }
 
-fn more_images(map: &MapSummary) -> String {
+fn more_images(map: &FullPhaseSummary) -> String {
     let Some(last) = map.iterations.last() else { return String::new() };
     match last.further_images(last.error_budget.total_nm.map(|nm| nm / 2.0)) {
         Ok(further) => format!("{} images would halve the error bars.\n", last.used_images.len() + further),

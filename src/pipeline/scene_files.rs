@@ -13,45 +13,74 @@ const LARGEST_BYTES: u64 = 2 << 30;
 const DIVERSITY_FILE: &str = "image.diversity_file";
 const FILTER_FILE: &str = "image.filter_file";
 
-/// Files that `scene` names: key and path.
-pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
-    let channels = scene.channels().iter().flat_map(|channel| scene_files(&channel.scene));
-    let channels: Vec<_> = channels.filter(|(key, _)| [DIVERSITY_FILE, FILTER_FILE].contains(key)).collect();
-    let pupil = match &scene.pupil.aperture {
-        Aperture::File(file) => Some(file),
-        _ => None,
-    };
-    let files = [
-        ("pupil.file", pupil),
-        ("modes.file", scene.modes.file.as_ref()),
-        (DIVERSITY_FILE, scene.image.diversity_file.as_ref()),
-        (FILTER_FILE, scene.image.filter_file.as_ref()),
-        ("aberrations.ncpa_file", scene.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
-        ("mirror.influence_file", scene.mirror.influence_file.as_ref()),
-        ("mirror.actuator_file", scene.mirror.actuator_file.as_ref()),
-        ("commands.segment_file", scene.commands.segment_file.as_ref()),
-        ("commands.segment_matrix_file", scene.commands.segment_matrix_file.as_ref()),
-        ("commands.actuator_file", scene.commands.actuator_file.as_ref()),
-        ("commands.actuator_matrix_file", scene.commands.actuator_matrix_file.as_ref()),
-        ("control.interaction_file", scene.control.as_ref().and_then(|control| control.interaction_file.as_ref())),
-        (
-            "control.command_matrix_file",
-            scene.control.as_ref().and_then(|control| control.command_matrix_file.as_ref()),
-        ),
-        (
-            "wavefront_sensor.reference_file",
-            scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.reference_file.as_ref()),
-        ),
-        (
-            "wavefront_sensor.moved_reference_file",
-            scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.moved_reference_file.as_ref()),
-        ),
-        (
-            "wavefront_sensor.subaperture_file",
-            scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),
-        ),
-    ];
-    files.into_iter().filter_map(|(key, file)| Some((key, scene.resolve(file?)))).chain(channels).collect()
+impl Scene {
+    /// Files that the scene names: key and path.
+    pub fn files(&self) -> Vec<(&'static str, PathBuf)> {
+        let channels = self.channels().iter().flat_map(|channel| channel.scene.files());
+        let channels: Vec<_> = channels.filter(|(key, _)| [DIVERSITY_FILE, FILTER_FILE].contains(key)).collect();
+        let pupil = match &self.pupil.aperture {
+            Aperture::File(file) => Some(file),
+            _ => None,
+        };
+        let files = [
+            ("pupil.file", pupil),
+            ("modes.file", self.modes.file.as_ref()),
+            (DIVERSITY_FILE, self.image.diversity_file.as_ref()),
+            (FILTER_FILE, self.image.filter_file.as_ref()),
+            ("aberrations.ncpa_file", self.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
+            ("mirror.influence_file", self.mirror.influence_file.as_ref()),
+            ("mirror.actuator_file", self.mirror.actuator_file.as_ref()),
+            ("commands.segment_file", self.commands.segment_file.as_ref()),
+            ("commands.segment_matrix_file", self.commands.segment_matrix_file.as_ref()),
+            ("commands.actuator_file", self.commands.actuator_file.as_ref()),
+            ("commands.actuator_matrix_file", self.commands.actuator_matrix_file.as_ref()),
+            ("control.interaction_file", self.control.as_ref().and_then(|control| control.interaction_file.as_ref())),
+            (
+                "control.command_matrix_file",
+                self.control.as_ref().and_then(|control| control.command_matrix_file.as_ref()),
+            ),
+            (
+                "wavefront_sensor.reference_file",
+                self.wavefront_sensor.as_ref().and_then(|sensor| sensor.reference_file.as_ref()),
+            ),
+            (
+                "wavefront_sensor.moved_reference_file",
+                self.wavefront_sensor.as_ref().and_then(|sensor| sensor.moved_reference_file.as_ref()),
+            ),
+            (
+                "wavefront_sensor.subaperture_file",
+                self.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),
+            ),
+        ];
+        files.into_iter().filter_map(|(key, file)| Some((key, self.resolve(file?)))).chain(channels).collect()
+    }
+
+    /// Refuses a scene that names a file which does not exist under a key that `is_checked` accepts,
+    /// whether or not the file is read: a misspelt name would have no effect. A missing map of
+    /// NCPA is an error for simulators, which read it, and not for an estimate.
+    ///
+    /// # Errors
+    /// [`Error::File`] with the name of the file and the key.
+    pub fn check_files(&self, is_checked: impl Fn(&str) -> bool) -> Result<()> {
+        // A FITS file may have an HDU in brackets behind its name.
+        let is_there = |path: &Path| file_of(path).exists();
+        let missing =
+            |(key, path): &(&str, PathBuf)| *key != "aberrations.ncpa_file" && is_checked(key) && !is_there(path);
+        let files = self.files();
+        if let Some((key, path)) = files.iter().find(|file| missing(file)) {
+            return Err(Error::file(path, format_args!("there is no such file; {key} of the scene names it")));
+        }
+        // Also those that need not be there: what is there may be read.
+        for (key, path) in files.iter().filter(|(_, path)| is_there(path)) {
+            check_file(&file_of(path)).map_err(|error| match error {
+                Error::File { path, reason } => {
+                    Error::file(path, format_args!("{reason}; {key} of the scene names it"))
+                }
+                other => other,
+            })?;
+        }
+        Ok(())
+    }
 }
 
 /// Time and length of a file, by which a change of it is seen; `None` where it is not there.
@@ -63,31 +92,7 @@ pub(super) fn file_states(scene: &Scene) -> Vec<FileState> {
         let metadata = file_of(path).metadata().ok()?;
         Some((metadata.modified().ok()?, metadata.len()))
     };
-    scene_files(scene).iter().map(|(_, path)| state(path)).collect()
-}
-
-/// Refuses a scene that names a file which does not exist under a key that `is_checked` accepts,
-/// whether or not the file is read: a misspelt name would have no effect. A map of NCPA is missed
-/// by the simulators, which read it, and not by an estimate.
-///
-/// # Errors
-/// [`Error::File`] with the name of the file and the key.
-pub fn check_scene_files(scene: &Scene, is_checked: impl Fn(&str) -> bool) -> Result<()> {
-    // A FITS file may have an HDU in brackets behind its name.
-    let is_there = |path: &Path| file_of(path).exists();
-    let missing = |(key, path): &(&str, PathBuf)| *key != "aberrations.ncpa_file" && is_checked(key) && !is_there(path);
-    let files = scene_files(scene);
-    if let Some((key, path)) = files.iter().find(|file| missing(file)) {
-        return Err(Error::file(path, format_args!("there is no such file; {key} of the scene names it")));
-    }
-    // Also those that need not be there: what is there may be read.
-    for (key, path) in files.iter().filter(|(_, path)| is_there(path)) {
-        check_file(&file_of(path)).map_err(|error| match error {
-            Error::File { path, reason } => Error::file(path, format_args!("{reason}; {key} of the scene names it")),
-            other => other,
-        })?;
-    }
-    Ok(())
+    scene.files().iter().map(|(_, path)| state(path)).collect()
 }
 
 /// Refuses the scene in the file `image` where it names an existing file outside of that file's
@@ -97,7 +102,7 @@ pub(super) fn refuse_foreign_files(scene: &Scene, image: &Path, is_accepted: imp
     // The parent of a plain name is empty.
     let folder = image.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = plain(folder)?;
-    for (key, path) in scene_files(scene) {
+    for (key, path) in scene.files() {
         if !is_accepted(key) && file_of(&path).exists() && !plain(&path)?.starts_with(&folder) {
             let path = path.display();
             return Err(Error::file(
@@ -140,12 +145,12 @@ pub(super) fn check_file(path: &Path) -> Result<u64> {
     }
 }
 
-/// As [`check_scene_files`] of every key, for an estimate: the scene in an image file may name
+/// As [`Scene::check_files`] of every key, for an estimate: the scene in an image file may name
 /// files of another machine, and only those that the estimate reads are missed.
 ///
 /// # Errors
-/// As [`check_scene_files`].
+/// As [`Scene::check_files`].
 pub(super) fn check_for_estimate(scene: &Scene) -> Result<()> {
     let is_whole = scene.purpose() != Purpose::Embedded;
-    check_scene_files(scene, |_| is_whole)
+    scene.check_files(|_| is_whole)
 }

@@ -2,7 +2,7 @@
 //! retrieval of each exposure's wavefront, and the static errors that all exposures share, in turn
 //! until nothing changes.
 
-use super::absolute_pistons::{AbsolutePistons, Colours};
+use super::absolute_pistons::{AbsolutePistons, SequenceInColours};
 use super::policy::Policy;
 use super::sequence_channel::{Sequence, SequenceChannel};
 use super::telemetry::{self, TelemetryCheck};
@@ -281,7 +281,7 @@ fn absolute_pistons(
 ) -> Result<Option<AbsolutePistons>> {
     let Sequence { channels, is_simultaneous, policy, control, .. } = *sequence;
     let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
-    let colours = Colours { channels, sequences, prior, is_simultaneous, settings, policy, control };
+    let colours = SequenceInColours { channels, sequences, prior, is_simultaneous, settings, policy, control };
     are_determined(&wavelengths_nm).then(|| colours.absolute_pistons()).transpose()
 }
 

@@ -109,7 +109,7 @@ impl Session {
         for channel in self.channels() {
             let about = if is_joint { format!("channel {}: ", channel.name()) } else { String::new() };
             let device = channel.device_failure().map(str::to_owned);
-            let own = device.into_iter().chain(model_warning(channel.estimator().model()));
+            let own = device.into_iter().chain(model_warning(channel.fitter().model()));
             sentences.extend(own.map(|sentence| format!("{about}{sentence}")));
         }
         for (group, result) in self.results().iter().enumerate().filter(|(_, result)| result.is_contradictory) {
@@ -202,9 +202,8 @@ fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
     })
 }
 
-/// What a misfit of reduced χ² `chi2` makes of error bars. Scaled residuals stand for unknown
-/// errors as small as the noise: where the model is [`USELESS`] times further off than that, the
-/// estimate is biased by an amount that no scale of its noise tells.
+/// Effect of a misfit of reduced χ² `chi2` on the error bars: scaling by √χ² covers errors of the
+/// model up to the noise; beyond `USELESS` standard deviations the bias is unknown.
 fn scaled(chi2: f64) -> &'static str {
     /// In standard deviations of the noise.
     const USELESS: f64 = 5.0;
@@ -253,7 +252,7 @@ fn listed(names: &[String]) -> String {
 }
 
 /// Warnings of a MAP estimate, whose last iteration is `last`.
-pub(super) fn map_warnings(
+pub(super) fn full_phase_warnings(
     found: &SequenceResult,
     last: &Iteration,
     has_settled: bool,

@@ -29,8 +29,7 @@ pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<
     let searches = drawn.iter().map(|own| PlanSearch::new(own, budget_nm, control));
     let mut searches = searches.collect::<Result<Vec<_>>>()?;
     let references = searches.iter().map(PlanSearch::reference).collect::<Result<Vec<_>>>()?;
-    let pairs: Vec<_> =
-        references.iter().zip(&searches).map(|(one, search)| (&one.estimator, &search.trials)).collect();
+    let pairs: Vec<_> = references.iter().zip(&searches).map(|(one, search)| (&one.fitter, &search.trials)).collect();
     let reference = joint_price(scene, &pairs, control)?;
     let mut plans = Vec::with_capacity(searches.len());
     for (search, own) in searches.iter_mut().zip(&references) {
@@ -42,7 +41,7 @@ pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<
     let planned = planned(scene, &plans)?;
     let fitters = planned.channels().iter().zip(&references).map(|(channel, like)| {
         let own = with_small_pistons(&planned, &channel.system)?;
-        like.estimator.variant(&own, recipe(&own))
+        like.fitter.variant(&own, recipe(&own))
     });
     let fitters: Vec<ModalFitter> = fitters.collect::<Result<_>>()?;
     let pairs: Vec<_> = fitters.iter().zip(&searches).map(|(fitter, search)| (fitter, &search.trials)).collect();

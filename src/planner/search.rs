@@ -36,7 +36,7 @@ const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 /// A candidate with its fitter, whose basis other candidates share.
 pub(super) struct Candidate {
     scene: System,
-    pub(super) estimator: ModalFitter,
+    pub(super) fitter: ModalFitter,
     pub(super) price: Price,
 }
 
@@ -71,7 +71,7 @@ impl<'a> PlanSearch<'a> {
         best = self.single_precision(best, limit)?;
         best = self.stopped_early(best, limit)?;
         self.price_half_the_modes(&best)?;
-        let omissions = omissions(self.given, &best.scene, &best.estimator, best.price, &self.trials, self.control)?;
+        let omissions = omissions(self.given, &best.scene, &best.fitter, best.price, &self.trials, self.control)?;
         Ok(FoundPlan {
             system: best.scene,
             reference,
@@ -90,16 +90,15 @@ impl<'a> PlanSearch<'a> {
     /// The scene's own model in double precision.
     pub(super) fn reference(&self) -> Result<Candidate> {
         let scene = self.given.with(|sections| sections.estimate.precision = Some(Precision::F64))?;
-        let estimator = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
-        let price = self.trials.price(&estimator, self.control)?;
-        Ok(Candidate { scene, estimator, price })
+        let fitter = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
+        let price = self.trials.price(&fitter, self.control)?;
+        Ok(Candidate { scene, fitter, price })
     }
 
     /// The fewest samples within the limit, by bisection: the error falls with the number of
     /// samples.
     fn sampled(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
-        if from.estimator.recipe().pupil_model != PupilModel::BandLimited || !from.estimator.model().telescope.is_fine()
-        {
+        if from.fitter.recipe().pupil_model != PupilModel::BandLimited || !from.fitter.model().telescope.is_fine() {
             // The samples of a map are fixed.
             return Ok(from);
         }
@@ -114,7 +113,7 @@ impl<'a> PlanSearch<'a> {
         while too_few < enough {
             let middle = (too_few + enough) / 2;
             let scene = from.scene.with(|sections| sections.estimate.samples = Some(sizes[middle]))?;
-            let candidate = self.candidate(&from.estimator, &scene)?;
+            let candidate = self.candidate(&from.fitter, &scene)?;
             let fits = limit.allows(&candidate.price);
             self.note("estimate.samples", sizes[middle].to_string(), candidate.price);
             if fits {
@@ -131,13 +130,13 @@ impl<'a> PlanSearch<'a> {
 
     /// The fewest wavelengths within the limit: the work is proportional to their number.
     fn fewer_wavelengths(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
-        let own = from.estimator.model().optics.parts().colours.len();
+        let own = from.fitter.model().optics.parts().colours.len();
         if own == 1 || self.given.estimate.wavelengths.is_some() {
             return Ok(from);
         }
         for count in 1..own {
             let scene = from.scene.with(|sections| sections.estimate.wavelengths = Some(count))?;
-            let candidate = self.candidate(&from.estimator, &scene)?;
+            let candidate = self.candidate(&from.fitter, &scene)?;
             self.note("estimate.wavelengths", count.to_string(), candidate.price);
             if limit.allows(&candidate.price) && candidate.price.megaflops < from.price.megaflops {
                 self.keep("estimate.wavelengths", &count.to_string());
@@ -152,7 +151,7 @@ impl<'a> PlanSearch<'a> {
         if !matches!(self.given.image.crop_pixels, Crop::Auto) {
             return Ok(from);
         }
-        let preparation = from.estimator.model().preparation;
+        let preparation = from.fitter.model().preparation;
         let native = |pixels: usize| (pixels as f64 * preparation.native_along(0)).round() as usize;
         let own = native(preparation.pixels);
         // The crop that the model chose by itself is written into the plan, so that it is the same
@@ -167,7 +166,7 @@ impl<'a> PlanSearch<'a> {
                 break;
             };
             let scene = cropped(&best.scene, native(pixels))?;
-            let candidate = self.candidate(&best.estimator, &scene)?;
+            let candidate = self.candidate(&best.fitter, &scene)?;
             self.note("image.crop_pixels", native(pixels).to_string(), candidate.price);
             if !limit.allows(&candidate.price) {
                 break;
@@ -213,7 +212,7 @@ impl<'a> PlanSearch<'a> {
         }
         let half = modes.ncpa_count / 2;
         let scene = best.scene.with(|sections| sections.modes.ncpa_count = half)?;
-        let candidate = self.candidate(&best.estimator, &scene)?;
+        let candidate = self.candidate(&best.fitter, &scene)?;
         self.note("modes.ncpa_count", half.to_string(), candidate.price);
         Ok(())
     }
@@ -227,7 +226,7 @@ impl<'a> PlanSearch<'a> {
         (key, value): (&'static str, &str),
         limit: Limit,
     ) -> Result<Candidate> {
-        let candidate = self.candidate(&best.estimator, scene)?;
+        let candidate = self.candidate(&best.fitter, scene)?;
         self.note(key, value.to_string(), candidate.price);
         // Single precision takes as many operations, each of half the time.
         let cheaper = candidate.price.megaflops < best.price.megaflops || key == "estimate.precision";
@@ -239,9 +238,9 @@ impl<'a> PlanSearch<'a> {
     }
 
     fn candidate(&self, like: &ModalFitter, scene: &System) -> Result<Candidate> {
-        let estimator = like.variant(scene, recipe(scene))?;
-        let price = self.trials.price(&estimator, self.control)?;
-        Ok(Candidate { scene: scene.clone(), estimator, price })
+        let fitter = like.variant(scene, recipe(scene))?;
+        let price = self.trials.price(&fitter, self.control)?;
+        Ok(Candidate { scene: scene.clone(), fitter, price })
     }
 
     fn note(&mut self, key: &'static str, value: String, price: Price) {

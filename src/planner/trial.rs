@@ -90,29 +90,29 @@ impl Trials {
         self.noise_share = noise_share;
     }
 
-    /// Cost of `estimator` on these wavefronts.
-    pub(super) fn price(&self, estimator: &ModalFitter, control: &Control) -> Result<Price> {
-        Ok(self.run(estimator, control)?.price)
+    /// Cost of `fitter` on these wavefronts.
+    pub(super) fn price(&self, fitter: &ModalFitter, control: &Control) -> Result<Price> {
+        Ok(self.run(fitter, control)?.price)
     }
 
-    /// Estimates these wavefronts by the model of `estimator`.
-    pub(super) fn run(&self, estimator: &ModalFitter, control: &Control) -> Result<Trial> {
+    /// Estimates these wavefronts by the model of `fitter`.
+    pub(super) fn run(&self, fitter: &ModalFitter, control: &Control) -> Result<Trial> {
         control.check("nothing was planned")?;
-        let (model, scene) = (estimator.model(), estimator.scene());
+        let (model, scene) = (fitter.model(), fitter.scene());
         let precision = scene.estimate.precision().into();
         let mut chain = Chain::cpu(model.optics.clone(), precision);
         let cube = Cube { images_e: self.frames_e.view(), bad: self.bad.view(), read_noise_e: None };
-        let found = estimator.fit_each(&mut chain, cube, control)?;
+        let found = fitter.fit_each(&mut chain, cube, control)?;
         // Once more for the time: the first fit also computes the metrics.
         let began = Instant::now();
-        estimator.fit_each(&mut chain, cube, control)?;
+        fitter.fit_each(&mut chain, cube, control)?;
         let estimate_us = 1e6 * began.elapsed().as_secs_f64() / DRAWS as f64;
         let misfit = found.reports.iter().map(|report| report.reduced_chi2 / (report.expected_chi2 - 1.0));
         let evaluations = found.reports.iter().map(|report| report.evaluations as f64).sum::<f64>() / DRAWS as f64;
-        let covariance_nm2 = self.covariance_nm2(estimator, &found.coefficients_nm)?;
-        let own_nm = noise_nm(estimator, covariance_nm2.as_ref())?;
+        let covariance_nm2 = self.covariance_nm2(fitter, &found.coefficients_nm)?;
+        let own_nm = noise_nm(fitter, covariance_nm2.as_ref())?;
         let price = Price {
-            model_nm: self.model_nm(estimator, &found.coefficients_nm)?,
+            model_nm: self.model_nm(fitter, &found.coefficients_nm)?,
             noise_nm: [0, 1].map(|part| own_nm[part] * self.noise_share[part]),
             misfit: misfit.fold(0.0, f64::max),
             evaluations,
@@ -124,12 +124,12 @@ impl Trials {
 
     /// Largest errors of the phasing and of the NCPA of the estimates of the draws, nm; infinite
     /// where there is none.
-    fn model_nm(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
+    fn model_nm(&self, fitter: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let errors = self
             .truths
             .par_iter()
             .zip(coefficients_nm.axis_iter(Axis(0)).into_par_iter())
-            .map(|(truth, coefficients_nm)| errors_nm(estimator, truth, &coefficients_nm.to_vec()))
+            .map(|(truth, coefficients_nm)| errors_nm(fitter, truth, &coefficients_nm.to_vec()))
             .collect::<Result<Vec<_>>>()?;
         let worst = |part: usize| {
             errors
@@ -141,12 +141,12 @@ impl Trials {
     }
 
     /// See [`Trial::covariance_nm2`].
-    fn covariance_nm2(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<Option<Array2<f64>>> {
-        let (at, image) = (coefficients_nm.row(0), &estimator.scene().image);
+    fn covariance_nm2(&self, fitter: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<Option<Array2<f64>>> {
+        let (at, image) = (coefficients_nm.row(0), &fitter.scene().image);
         if at.iter().any(|nm| !nm.is_finite()) {
             return Ok(None);
         }
-        Ok(Some(estimator.bound(at, self.flux_e, image.background_e)? / image.count as f64))
+        Ok(Some(fitter.bound(at, self.flux_e, image.background_e)? / image.count as f64))
     }
 }
 
@@ -182,8 +182,8 @@ pub(super) fn joint_price(scene: &System, channels: &[(&ModalFitter, &Trials)], 
 
 /// Expected errors of the phasing and of the NCPA from a covariance of the modes, nm; infinite
 /// without one.
-fn noise_nm(estimator: &ModalFitter, covariance_nm2: Option<&Array2<f64>>) -> Result<[f64; 2]> {
-    let model = estimator.model();
+fn noise_nm(fitter: &ModalFitter, covariance_nm2: Option<&Array2<f64>>) -> Result<[f64; 2]> {
+    let model = fitter.model();
     let Some(covariance_nm2) = covariance_nm2 else { return Ok([f64::INFINITY; 2]) };
     let (n, pupil) = (model.segment_modes, &model.telescope.pupil);
     let gram = MapGram::of_basis(pupil, &model.basis)?;
@@ -215,11 +215,11 @@ fn with_assumed_aberrations(scene: &System) -> Result<System> {
 }
 
 /// Residual RMS of phasing and NCPA, nm; NaN for an image that was not fitted.
-fn errors_nm(estimator: &ModalFitter, truth: &Truth, coefficients_nm: &[f64]) -> Result<[f64; 2]> {
+fn errors_nm(fitter: &ModalFitter, truth: &Truth, coefficients_nm: &[f64]) -> Result<[f64; 2]> {
     if coefficients_nm.iter().any(|nm| !nm.is_finite()) {
         return Ok([f64::NAN; 2]);
     }
-    let model = estimator.model();
+    let model = fitter.model();
     let pupil = &model.telescope.pupil;
     let [phasing_nm, ncpa_nm] = truth.maps_on(pupil)?;
     let residual =

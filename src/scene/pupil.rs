@@ -24,8 +24,8 @@ section! {
         rings: usize, between(0.0, 30.0), default(3usize);
         /// Side of a segment; the radius of a round one.
         segment_side_m: f64, above(0.0, 100.0), default(0.9);
-        /// Gap between the edges of neighbouring segments. The distance between centres is √3·side
-        /// + gap, or 2·side + gap of round segments.
+        /// Gap between the edges of neighbouring segments. The distance between centres is
+        /// √3·side + gap, or 2·side + gap of round segments.
         segment_gap_m: f64, between(0.0, 10.0), default(0.003);
         /// Number of rings next to the centre that have no segments.
         removed_rings: usize, between(0.0, 29.0), default(0usize);
@@ -51,8 +51,8 @@ section! {
         /// Rotation of segments, their numbers and the spider about the axis, counter-clockwise;
         /// modes, diversity and mirror are not rotated. 'cophase scene --plot' shows it.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
-        /// Illumination of the pupil, relative to its mean, with X = 2x/grid_m and Y = 2y/grid_m: 1
-        /// + illumination_x·X + illumination_y·Y + illumination_edge·(2X² + 2Y² − 1). This is its
+        /// Illumination of the pupil, relative to its mean, with X = 2x/grid_m and Y = 2y/grid_m:
+        /// 1 + illumination_x·X + illumination_y·Y + illumination_edge·(2X² + 2Y² − 1). This is its
         /// slope along x.
         illumination_x: f64, between(-0.9, 0.9), default(0.0);
         /// Slope of the illumination along y.

@@ -4,7 +4,7 @@ use crate::common::assert_facts;
 use crate::consistency::scene;
 use cophase::Status;
 use cophase::modal::{Model, Recipe};
-use cophase::pipeline::{Estimate, Estimator, Images, scene_files};
+use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
 
@@ -89,7 +89,7 @@ fn keys_that_contradict_a_filter_file_are_refused() {
     let width = made.with(&[("estimate.fit_optics", "[\"bandwidth\"]")]).unwrap();
     let width = sentence(estimate(&width));
     assert_facts(&width, "\"bandwidth\" | filter from a file");
-    assert_eq!(scene_files(&made), [("image.filter_file", folder.path().join("k.csv"))]);
+    assert_eq!(made.files(), [("image.filter_file", folder.path().join("k.csv"))]);
     for (table, words) in [
         ("2000\n2300\n", "line 1: 1 columns"),
         ("2300 1\n2000 1\n", "line 2: 2000 nm follows 2300 nm"),
@@ -123,5 +123,5 @@ fn a_channel_has_its_own_filter() {
     );
     let image = &broad.scene.image;
     assert!(image.filter_file.is_some() && image.bandwidth_fraction == 0.0 && image.star_temperature_k == Some(4000.0));
-    assert!(scene_files(&scene).iter().all(|(key, _)| *key == "image.filter_file"));
+    assert!(scene.files().iter().all(|(key, _)| *key == "image.filter_file"));
 }

@@ -5,7 +5,7 @@ use crate::common::{chains, relative_difference};
 use cophase::Control;
 use cophase::imaging::{Chain, CpuChain, Exposure, Precision};
 use cophase::io;
-use cophase::modal::{Cube, Frame, ModalEstimate, ModalFitter};
+use cophase::modal::{Cube, Frame, ModalEstimate, ModalFitter, ModelCache, Recipe, fitter_of};
 use cophase::modes::Group;
 use cophase::scene::Scene;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
@@ -188,8 +188,11 @@ fn our_default_is_at_least_as_close_to_the_truth() {
     for name in ["inspan.fits.gz", "zern.fits.gz"] {
         let images = io::read_images(file(name), None).unwrap();
         let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-        let mut open = |ours: &ModalFitter| Ok(Chain::cpu(ours.model().optics.clone(), Precision::F64));
-        let (ours, estimate) = cophase::modal::estimate_scene(&scene, cube, &mut open, &Control::default()).unwrap();
+        let control = Control::default();
+        let (recipe, cache) = (Recipe::with_prior(&scene), ModelCache::default());
+        let ours = fitter_of(&scene, recipe, &cache, cube, &control).unwrap();
+        let mut chain = Chain::cpu(ours.model().optics.clone(), Precision::F64);
+        let estimate = ours.estimate(&mut chain, cube, &control).unwrap();
         let pupil = &ours.model().telescope.pupil;
         let theirs = vector(name, "EST_LM_WEIGHTED");
         let residuals = [

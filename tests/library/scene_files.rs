@@ -4,7 +4,7 @@
 use crate::consistency::scene;
 use cophase::Error;
 use cophase::io::{FitsWriter, Pixel};
-use cophase::pipeline::{Estimator, Images, embedded_scene, scene_files};
+use cophase::pipeline::{Estimator, Images, embedded_scene};
 use cophase::scene::Scene;
 use std::path::Path;
 
@@ -25,7 +25,7 @@ fn an_estimator_misses_every_file_that_its_scene_names() {
     for words in ["none.txt", "no such file", "mirror.actuator_file"] {
         assert!(sentence.contains(words), "{sentence}");
     }
-    assert_eq!(scene_files(&missing), [("mirror.actuator_file", folder.path().join("none.txt"))]);
+    assert_eq!(missing.files(), [("mirror.actuator_file", folder.path().join("none.txt"))]);
     let map = named(&[("image.diversity_file", "none.fits[2]"), ("image.diversity_focus_waves_rms", "")]);
     let sentence = refusal(&map);
     assert!(sentence.contains("none.fits") && sentence.contains("image.diversity_file"), "{sentence}");

@@ -1,7 +1,7 @@
 //! Scenes as the command line names them.
 
 use crate::outputs::{self, Flagged};
-use cophase::pipeline::{check_scene_files, embedded_scene, scene_files};
+use cophase::pipeline::embedded_scene;
 use cophase::scene::{Scene, split_setting};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ impl Settings {
     /// must be there.
     pub fn apply(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let scene = self.changed(scene, options)?;
-        check_scene_files(&scene, |_| true)?;
+        scene.check_files(|_| true)?;
         anchored(scene)
     }
 
@@ -52,7 +52,7 @@ impl Settings {
     /// machine: those that are not needed are not missed, unless these settings name them.
     fn apply_to_embedded(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let scene = self.changed(scene, options)?;
-        check_scene_files(&scene, |key| self.keys().any(|named| named == key))?;
+        scene.check_files(|key| self.keys().any(|named| named == key))?;
         anchored(scene)
     }
 
@@ -94,7 +94,7 @@ pub fn scene(name: &Path) -> Result<Scene> {
 
 /// Refuses an output that is a file of the scene.
 pub fn spare_files_of(scene: &Scene, outputs: &[Flagged]) -> Result<()> {
-    let files = scene_files(scene);
+    let files = scene.files();
     let inputs: Vec<Flagged> = files.iter().map(|(key, path)| (*key, path.as_path())).collect();
     outputs.iter().try_for_each(|&output| outputs::spare(output, &inputs))
 }
@@ -109,7 +109,7 @@ fn anchored(scene: Scene) -> Result<Scene> {
     };
     // A file of one channel is not that of the others.
     for (number, (name, own)) in scene.each_channel().into_iter().enumerate() {
-        for (key, file) in scene_files(own) {
+        for (key, file) in own.files() {
             match (name, key.strip_prefix("image.")) {
                 (Some(name), Some(key)) => add(format!("image.channel.{name}.{key}"), file)?,
                 _ if number == 0 => add(key.to_owned(), file)?,

@@ -233,8 +233,8 @@ impl Target {
 }
 
 /// Start of the fit: (u + κ²)^(−11/6) = (u + κ²)^(−2)·(u + κ²)^(1/6) is two poles at the corner,
-/// then pairs of a zero and a pole a sixth of their spacing apart. For a nearly flat spectrum (κ >
-/// 2) the corner is 2.
+/// then pairs of a zero and a pole a sixth of their spacing apart. For a nearly flat spectrum
+/// (κ > 2) the corner is 2.
 fn initial_guess(corner: f64) -> [f64; UNKNOWNS] {
     let low = (corner * corner).min(4.0).ln();
     let spacing = ((10f64.ln() - low) / ZEROS as f64).max(0.5);

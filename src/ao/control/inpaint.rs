@@ -185,8 +185,8 @@ mod tests {
     fn smooth_maps_are_filled_closely() {
         // Equations at the map's border have one of the two second differences, so x² − y² has an
         // error near the free edge of the plate. The plate bends less than x² everywhere, by about
-        // the curvature, 2, times the squared width of a masked patch, 1 to 2 cells, over 8: below
-        // 2. The values go up to 90.
+        // the curvature, 2, times the squared width of a masked patch, 1 to 2 cells, over 8:
+        // below 2. The values go up to 90.
         let saddle = largest_error(|x, y| x * x - y * y);
         let bowl = largest_error(|x, y| x * x + y * y);
         println!("saddle {saddle:.3}, bowl {bowl:.3}");

@@ -19,14 +19,14 @@ const ALIKE_WAVES: f64 = 0.003;
 const ALIKE_FLUX: f64 = 0.02;
 
 /// Fisher and covariance matrices of the images of a call.
-pub(in crate::modal) struct Spread {
+pub(in crate::modal) struct ImageCovariances {
     /// Place of each image's matrices in `matrices`.
     place: Vec<usize>,
     /// Fisher matrix (per nm²) and covariance (nm², pistons about their mean).
     matrices: Vec<(Array2<f64>, Array2<f64>)>,
 }
 
-impl Spread {
+impl ImageCovariances {
     /// Computes the matrices of some `images` among the minima of `prepared`; afterwards an image
     /// is named by its place in `images`. `variance_e2` is that of the pixels of each under its
     /// fitted model.
@@ -34,13 +34,13 @@ impl Spread {
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes an image.
     pub(in crate::modal) fn new(
-        estimator: &ModalFitter,
+        fitter: &ModalFitter,
         images: &[usize],
         prepared: &[PreparedFrame],
         minima: &[Minimum],
         variance_e2: &[Vec<f64>],
     ) -> Result<Self> {
-        let alike_nm = ALIKE_WAVES * estimator.model.optics.parts().wavelength_nm;
+        let alike_nm = ALIKE_WAVES * fitter.model.optics.parts().wavelength_nm;
         let alike = |a: usize, b: usize| {
             let (a, b) = (images[a], images[b]);
             let differences =
@@ -58,18 +58,18 @@ impl Spread {
                 heads.push(image);
             }
         }
-        let motions = &estimator.motions;
+        let motions = &fitter.motions;
         // Images that are worked on at once share the memory.
         let threads = MATRICES_AT_ONCE.min(heads.len()).max(1);
         let compute = |&head: &usize| {
             let (image, minimum) = (&prepared[images[head]], &minima[images[head]]);
             let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &image.exposure);
-            let variance_e2 = match estimator.recipe.weighting {
+            let variance_e2 = match fitter.recipe.weighting {
                 Weighting::Noise => None,
                 Weighting::None => Some(variance_e2[head].as_slice()),
             };
             let noise = (exposure.weight.as_slice(), variance_e2);
-            let (reference, tile_bytes) = (&estimator.reference, estimator.model.tiles().derivative_bytes / threads);
+            let (reference, tile_bytes) = (&fitter.reference, fitter.model.tiles().derivative_bytes / threads);
             let sensitivity = Sensitivity::at(reference, at, minimum.flux_e, noise, exposure.photometry, tile_bytes);
             let covariance = motions.removed_from(&sensitivity.covariance()?);
             Ok((sensitivity.fisher, covariance))

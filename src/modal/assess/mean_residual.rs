@@ -1,5 +1,5 @@
-//! χ² of the mean residual of many images: what each of them hides in its noise and all of them
-//! share.
+//! χ² of the mean residual of many images: it shows errors of the model that all images share and
+//! that are below the noise of one.
 //!
 //! The residuals r of N images of one wavefront, in standard deviations of their pixels, have at
 //! each pixel a mean whose variance is 1/N. So N·mean(r)² per degree of freedom is 1 where the
@@ -30,7 +30,7 @@ const MAX_TYPICAL_CHI2: f64 = 2.0;
 /// Reduced χ² of the mean residual of the images `used`; that of one image is its own. 1 where the
 /// median χ² is above 2, or without a noise model.
 pub(in crate::modal) fn mean_residual_chi2(
-    estimator: &ModalFitter,
+    fitter: &ModalFitter,
     prepared: &[PreparedFrame],
     minima: &[Minimum],
     reports: &[ImageReport],
@@ -39,20 +39,20 @@ pub(in crate::modal) fn mean_residual_chi2(
     let typical = median(&used.iter().map(|&place| reports[place].reduced_chi2).collect::<Vec<_>>());
     match used {
         [one] => reports[*one].reduced_chi2,
-        _ if typical < MAX_TYPICAL_CHI2 && estimator.recipe.weighting == Weighting::Noise => {
-            chi2(estimator, prepared, minima, used)
+        _ if typical < MAX_TYPICAL_CHI2 && fitter.recipe.weighting == Weighting::Noise => {
+            chi2(fitter, prepared, minima, used)
         }
         _ => 1.0,
     }
 }
 
-fn chi2(estimator: &ModalFitter, prepared: &[PreparedFrame], minima: &[Minimum], used: &[usize]) -> f64 {
-    let pixels = estimator.model.preparation.pixels.pow(2);
+fn chi2(fitter: &ModalFitter, prepared: &[PreparedFrame], minima: &[Minimum], used: &[usize]) -> f64 {
+    let pixels = fitter.model.preparation.pixels.pow(2);
     // Sum of the residuals of each pixel, and the number of images in which it is good.
     let sum_of = |images: &[usize]| {
         let mut sums = vec![(0.0, 0.0); pixels];
         for (minimum, image) in images.iter().map(|&image| (&minima[image], &prepared[image])) {
-            let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
+            let psf = fitter.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
             let variance_e2 = variance(&psf, minimum, &image.floor_variance_e2);
             let data = image.exposure.data_e.iter().zip(&psf).zip(&variance_e2);
             for (sum, ((data, h), variance)) in sums.iter_mut().zip(data).filter(|(_, (_, v))| v.is_finite()) {
@@ -73,6 +73,6 @@ fn chi2(estimator: &ModalFitter, prepared: &[PreparedFrame], minima: &[Minimum],
             good += 1;
         }
     }
-    let fitted = estimator.model.optics.modes() + used.first().map_or(0, |&image| nuisances(&prepared[image].exposure));
+    let fitted = fitter.model.optics.modes() + used.first().map_or(0, |&image| nuisances(&prepared[image].exposure));
     chi2 / good.saturating_sub(fitted).max(1) as f64
 }

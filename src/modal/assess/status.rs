@@ -212,13 +212,13 @@ impl ModalFitter {
 
 /// The reports on the minima of `prepared`.
 pub(in crate::modal) fn assess_all(
-    estimator: &ModalFitter,
+    fitter: &ModalFitter,
     prepared: &[PreparedFrame],
     minima: &[Minimum],
 ) -> Vec<ImageReport> {
     let pairs = prepared.iter().zip(minima);
     let mut reports: Vec<ImageReport> =
-        pairs.map(|(prepared, minimum)| assess(&estimator.model, &estimator.tilts, prepared, minimum)).collect();
+        pairs.map(|(prepared, minimum)| assess(&fitter.model, &fitter.tilts, prepared, minimum)).collect();
     assess_together(&mut reports);
     reports
 }

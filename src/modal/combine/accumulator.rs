@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// [`ModalFitter::estimate`]: up to seven images are assessed one by one, eight and more as a
 /// sequence. Outliers are left out as the scene says.
 pub struct Accumulator {
-    estimator: Arc<ModalFitter>,
+    fitter: Arc<ModalFitter>,
     motions: GlobalMotions,
     /// Inner products of the modes over the pupil, piston removed: the mean square of a map is
     /// cᵀ·G·c.
@@ -58,8 +58,8 @@ impl Accumulator {
     ///
     /// # Errors
     /// [`Error::Value`] for a capacity of 0, or one that memory cannot hold.
-    pub fn new(estimator: Arc<ModalFitter>, capacity: usize) -> Result<Self> {
-        let model = estimator.model();
+    pub fn new(fitter: Arc<ModalFitter>, capacity: usize) -> Result<Self> {
+        let model = fitter.model();
         let modes = model.optics.modes();
         let size = capacity.checked_mul(modes).filter(|&size| size > 0);
         let (mut memory, mut reports) = (Vec::<f64>::new(), Vec::new());
@@ -74,7 +74,7 @@ impl Accumulator {
         let coefficients_nm = Array2::from_shape_vec((capacity, modes), memory)
             .map_err(|error| Error::Internal(format!("the ring of images: {error}")))?;
         let (motions, gram) = (GlobalMotions::new(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
-        Ok(Self { motions, gram, coefficients_nm, reports, pushed: 0, estimator })
+        Ok(Self { motions, gram, coefficients_nm, reports, pushed: 0, fitter })
     }
 
     /// Adds all images of the session's last fit; they replace the oldest ones. Allocates nothing.
@@ -88,7 +88,7 @@ impl Accumulator {
                 session.channels().len()
             )));
         };
-        if !Arc::ptr_eq(&self.estimator, channel.estimator()) {
+        if !Arc::ptr_eq(&self.fitter, channel.fitter()) {
             return Err(Error::Value(
                 "the session is of another model: one of the sequence's model is accepted".into(),
             ));
@@ -112,9 +112,9 @@ impl Accumulator {
         self.pushed = 0;
     }
 
-    /// The estimator whose images it takes.
-    pub fn estimator(&self) -> &Arc<ModalFitter> {
-        &self.estimator
+    /// The fitter whose images it takes.
+    pub fn fitter(&self) -> &Arc<ModalFitter> {
+        &self.fitter
     }
 
     /// The static estimate of the images that are kept.
@@ -123,8 +123,8 @@ impl Accumulator {
     /// [`Error::Image`] where none was pushed or none was fitted.
     pub fn estimate(&self) -> Result<RunningEstimate> {
         let (single_nm2, selected, coefficients_nm) = self.single()?;
-        let how = self.estimator.recipe().combine;
-        let covariance_nm2 = self.estimator.with_shared(single_nm2 * shrinkage_of_variance(how, selected.used.len()));
+        let how = self.fitter.recipe().combine;
+        let covariance_nm2 = self.fitter.with_shared(single_nm2 * shrinkage_of_variance(how, selected.used.len()));
         let root = |group, product: &dyn Fn(usize, usize) -> f64| self.mean_square(group, product).max(0.0).sqrt();
         let rms = |group| root(group, &|i, j| coefficients_nm[i] * coefficients_nm[j]);
         let sigma = |group| root(group, &|i, j| covariance_nm2[[i, j]]);
@@ -160,7 +160,7 @@ impl Accumulator {
         }
         let now = self.estimate()?;
         // Errors that all images share are not averaged out.
-        let all_shared_nm2 = self.estimator.shared_covariance_nm2();
+        let all_shared_nm2 = self.fitter.shared_covariance_nm2();
         let shared = |group| match &all_shared_nm2 {
             Some(shared_nm2) => self.mean_square(group, &|i, j| shared_nm2[[i, j]]).max(0.0),
             None => 0.0,
@@ -188,7 +188,7 @@ impl Accumulator {
         let mut reports = self.reports.clone();
         assess_together(&mut reports);
         let reports: Vec<&ImageReport> = reports.iter().collect();
-        let how = self.estimator.recipe().combine;
+        let how = self.fitter.recipe().combine;
         let rows = self.coefficients_nm.slice(ndarray::s![..reports.len(), ..]).to_owned();
         let selected = Selection::new(&reports, &rows, how);
         if selected.used.is_empty() {
@@ -202,7 +202,7 @@ impl Accumulator {
         let median_of_used = |value: fn(&ImageReport) -> f64| {
             median(&selected.used.iter().map(|&place| value(reports[place])).collect::<Vec<_>>())
         };
-        let noise_nm2 = self.estimator.bound(
+        let noise_nm2 = self.fitter.bound(
             ArrayView1::from(&coefficients_nm),
             median_of_used(|report| report.flux_e),
             median_of_used(|report| report.background_e).max(0.0),
@@ -219,7 +219,7 @@ impl Accumulator {
     /// Mean square over the pupil of the map of a group: Σ gram[i, j]·product(i, j) over the modes
     /// of the group, where `product(i, j)` is the product (or the covariance) of two coefficients.
     fn mean_square(&self, group: Group, product: &dyn Fn(usize, usize) -> f64) -> f64 {
-        let model = self.estimator.model();
+        let model = self.fitter.model();
         let range = match group {
             Group::Segment => 0..model.segment_modes,
             Group::Ncpa => model.segment_modes..model.basis.len(),

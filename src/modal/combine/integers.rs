@@ -37,7 +37,7 @@ const LEAST_DIFFERENCE: f64 = 0.01;
 /// The whole wavelengths that were found for the piston of a segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PistonInteger {
-    /// Wavelengths of the first channel that were added to what it sees.
+    /// Wavelengths of the first channel that were added to the piston that it measures.
     pub integer: i64,
     /// Probability of this integer, among those of pistons within `modes.piston_range_nm`.
     pub probability: f64,

@@ -68,13 +68,13 @@ impl NormalEquations {
     /// `[parameter, pixel]`, per unit.
     pub(super) fn add(
         &mut self,
-        estimator: &ModalFitter,
+        fitter: &ModalFitter,
         image: &PreparedFrame,
         minimum: &Minimum,
         derivatives: &[Array1<f64>],
     ) -> Result<()> {
         let at = ArrayView1::from(&minimum.coefficients_nm);
-        let linear = estimator.reference.linearise(at);
+        let linear = fitter.reference.linearise(at);
         let (exposure, flux_e) = (&image.exposure, minimum.flux_e);
         let weight = ArrayView1::from(&exposure.weight);
         let psf = ArrayView1::from(linear.psf());
@@ -88,11 +88,11 @@ impl NormalEquations {
         let optics = derivatives.iter().cloned().map(|derivative| orthogonalise(derivative, weight, &nuisances));
         let optics: Vec<Array1<f64>> = optics.collect();
         let weighted: Vec<Array1<f64>> = optics.iter().map(|optic| optic * &weight).collect();
-        let tile_bytes = estimator.model.tiles().derivative_bytes;
+        let tile_bytes = fitter.model.tiles().derivative_bytes;
         // Derivatives by the modes are those of the PSF, for a flux of 1.
         let products = along(&linear, &weighted, rows_of_tile(linear.modes(), linear.pixels(), tile_bytes)) * flux_e;
         let noise = (exposure.weight.as_slice(), None);
-        let sensitivity = Sensitivity::at(&estimator.reference, at, flux_e, noise, exposure.photometry, tile_bytes);
+        let sensitivity = Sensitivity::at(&fitter.reference, at, flux_e, noise, exposure.photometry, tile_bytes);
         let moves = sensitivity.covariance()?.dot(&products);
         let residual = &ArrayView1::from(&exposure.data_e) - &model;
         for (i, weighted) in weighted.iter().enumerate() {
@@ -113,7 +113,7 @@ impl NormalEquations {
     }
 
     /// Solves for the step, the error bars and the identifiable shares.
-    pub(super) fn solve(self, estimator: &ModalFitter) -> Result<ParameterIteration> {
+    pub(super) fn solve(self, fitter: &ModalFitter) -> Result<ParameterIteration> {
         if self.images == 0 {
             return Err(Error::Image("no image converged, and estimate.fit_optics needs at least one".into()));
         }
@@ -150,7 +150,7 @@ impl NormalEquations {
                 }
             }
             let moves_nm = self.moves_nm.select(Axis(1), &kept) / self.images as f64;
-            shared_nm2 = estimator.motions.removed_from(&moves_nm.dot(&covariance).dot(&moves_nm.t()));
+            shared_nm2 = fitter.motions.removed_from(&moves_nm.dot(&covariance).dot(&moves_nm.t()));
         }
         let drop = self.right_side.iter().zip(&step).map(|(right, step)| right * step).sum::<f64>();
         let expected_drop = drop / self.pixels.max(1) as f64;

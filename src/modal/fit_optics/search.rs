@@ -170,10 +170,10 @@ impl ParameterSearch {
     /// The fitter of the scene with `values`, those of `iteration`.
     pub(super) fn fitter_at(&self, own: &[f64], values: &[f64], iteration: &ParameterIteration) -> Result<ModalFitter> {
         let scene = with_numbers(&self.scene, &self.parameters, values)?;
-        let mut estimator = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene)?)?;
-        estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
-        estimator.fitted_optics = self.fitted(&estimator.model.telescope, own, values, iteration);
-        Ok(estimator)
+        let mut fitter = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene)?)?;
+        fitter.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
+        fitter.fitted_optics = self.fitted(&fitter.model.telescope, own, values, iteration);
+        Ok(fitter)
     }
 
     /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's
@@ -262,22 +262,17 @@ impl ParameterSearch {
         // Far from the right parameters restarts do not help.
         let recipe = Recipe { restarts: 0, ..self.recipe.clone() };
         let modes = self.modes_of(&scene)?;
-        let estimator = self.fitter(&scene, values, recipe, modes.clone())?;
-        let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
-        let fitted = estimator.fit_all(&mut chain, self.cube(), None, None, &self.control)?;
-        let perturbed = self.perturbed_models(&scene, &estimator, values, &modes)?;
-        let mut equations = NormalEquations::new(self.parameters.len(), estimator.model.optics.modes());
+        let fitter = self.fitter(&scene, values, recipe, modes.clone())?;
+        let mut chain = Chain::cpu(fitter.model.optics.clone(), Precision::F64);
+        let fitted = fitter.fit_all(&mut chain, self.cube(), None, None, &self.control)?;
+        let perturbed = self.perturbed_models(&scene, &fitter, values, &modes)?;
+        let mut equations = NormalEquations::new(self.parameters.len(), fitter.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {
             if minimum.reason.has_converged() && minimum.reduced_chi2().is_finite() {
-                equations.add(
-                    &estimator,
-                    image,
-                    minimum,
-                    &self.derivatives(&estimator, &perturbed, values, minimum),
-                )?;
+                equations.add(&fitter, image, minimum, &self.derivatives(&fitter, &perturbed, values, minimum))?;
             }
         }
-        equations.solve(&estimator)
+        equations.solve(&fitter)
     }
 
     /// For each parameter, the models one step below and one step above `values`, for the same
@@ -285,12 +280,12 @@ impl ParameterSearch {
     fn perturbed_models(
         &self,
         scene: &System,
-        estimator: &ModalFitter,
+        fitter: &ModalFitter,
         values: &[f64],
         modes: &ModeSet,
     ) -> Result<Vec<Perturbed>> {
         // Models a step apart may select other pixels by themselves: the crop is fixed.
-        let plan = estimator.model.preparation;
+        let plan = fitter.model.preparation;
         let [longest, reduced] = [plan.frame, plan.reduced].map(|side| side[0].max(side[1]));
         let crop = Crop::Pixels((plan.pixels * longest).div_ceil(reduced));
         let model = |number: usize, side: f64| -> Result<CpuChain<f64>> {
@@ -318,13 +313,13 @@ impl ParameterSearch {
     /// Derivatives of an image's electrons by the parameters, `[parameter, pixel]`, per unit.
     fn derivatives(
         &self,
-        estimator: &ModalFitter,
+        fitter: &ModalFitter,
         perturbed: &[Perturbed],
         values: &[f64],
         minimum: &Minimum,
     ) -> Vec<Array1<f64>> {
         let at = ArrayView1::from(&minimum.coefficients_nm);
-        let (chain, segments) = (&estimator.reference, estimator.model.optics.parts().weights.segments);
+        let (chain, segments) = (&fitter.reference, fitter.model.optics.parts().weights.segments);
         let mut scratch = chain.scratch();
         let derivative = |(perturbed, (value, step)): (&Perturbed, (&f64, &f64))| {
             let [below, above] = match perturbed {

@@ -6,8 +6,8 @@ use super::super::prepare::{Frame, Preparation, PreparedFrame, Preparer, Refusal
 use super::options::{ImageResult, SessionOptions, write_start};
 use crate::control::Control;
 use crate::imaging::Chain;
+use crate::modal::assess::image_covariances::ImageCovariances;
 use crate::modal::assess::residual::variance;
-use crate::modal::assess::spread::Spread;
 use crate::modal::assess::status::{ImageReport, Status, assess};
 use crate::modal::assess::tilts::Tilts;
 use crate::modal::combine::global_motions::GlobalMotions;
@@ -38,7 +38,7 @@ pub struct SessionChannel {
 
 /// Data that all images of a channel share.
 struct Shared {
-    estimator: Arc<ModalFitter>,
+    fitter: Arc<ModalFitter>,
     /// Recipe of the fitter, with the session's own limits.
     recipe: Recipe,
     tilts: Tilts,
@@ -53,19 +53,19 @@ struct FrameBuffer {
 }
 
 impl SessionChannel {
-    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a
+    /// Allocates all memory, and computes the metrics of `fitter` where it has none yet (about a
     /// second for a large model). `control` is that of the session.
     ///
     /// # Errors
     /// As [`Session::new`](super::Session::new).
     pub(super) fn new(
         name: &str,
-        estimator: Arc<ModalFitter>,
+        fitter: Arc<ModalFitter>,
         options: &SessionOptions,
         control: Control,
     ) -> Result<Self> {
-        FrameBuffer::check_capacity(&estimator, options.capacity)?;
-        let mut recipe = estimator.recipe.clone();
+        FrameBuffer::check_capacity(&fitter, options.capacity)?;
+        let mut recipe = fitter.recipe.clone();
         if recipe.optimizer == Optimizer::Bfgs {
             return Err(Error::Value(
                 "a session cannot use estimate.optimizer = \"bfgs\", which allocates as it goes: \"gauss-newton\" and \
@@ -75,17 +75,17 @@ impl SessionChannel {
         }
         recipe.max_evaluations = options.max_evaluations.unwrap_or(recipe.max_evaluations);
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
-        estimator.metrics.make_all(&estimator.reference)?;
-        let (tilts, motions) = (Tilts::new(&estimator.model)?, GlobalMotions::new(&estimator.model)?);
-        let shared = Shared { estimator, recipe, tilts, motions, control };
-        let optics = shared.estimator.model.optics.clone();
-        let scene = &shared.estimator.scene.estimate;
+        fitter.metrics.make_all(&fitter.reference)?;
+        let (tilts, motions) = (Tilts::new(&fitter.model)?, GlobalMotions::new(&fitter.model)?);
+        let shared = Shared { fitter, recipe, tilts, motions, control };
+        let optics = shared.fitter.model.optics.clone();
+        let scene = &shared.fitter.scene.estimate;
         let precision = options.precision.unwrap_or(scene.precision().into());
         let device = options.device.unwrap_or(scene.device.into());
         let chain = Chain::open(optics, device, precision, options.capacity)?;
         let device = chain.device_name();
         let engine = shared.engine(chain, options)?;
-        let (preparation, modes) = (shared.estimator.model.preparation, shared.modes());
+        let (preparation, modes) = (shared.fitter.model.preparation, shared.modes());
         let frames = (0..options.capacity).map(|_| FrameBuffer::new(&preparation)).collect();
         let fits = vec![ImageFit::new(&preparation, modes); options.capacity];
         let result = ImageResult {
@@ -102,9 +102,9 @@ impl SessionChannel {
         &self.name
     }
 
-    /// The estimator whose model is fitted.
-    pub fn estimator(&self) -> &Arc<ModalFitter> {
-        &self.shared.estimator
+    /// The fitter whose model is fitted.
+    pub fn fitter(&self) -> &Arc<ModalFitter> {
+        &self.shared.fitter
     }
 
     /// Warning that the device that `auto` selected was lost and the CPU replaces it.
@@ -184,18 +184,19 @@ impl SessionChannel {
                 self.fitted
             )));
         };
-        let estimator = &self.shared.estimator;
-        let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
+        let fitter = &self.shared.fitter;
+        let psf = fitter.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-        let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
-        Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
+        let spread =
+            ImageCovariances::new(fitter, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
+        Ok(fitter.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
     }
 
     /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It
     /// evaluates the model once more.
     pub fn fitted_image(&self, image: usize) -> Option<FittedImage> {
         let fit = self.fits().get(image).filter(|fit| fit.is_fitted())?;
-        Some(fitted_image(&self.shared.estimator, &fit.minimum, &fit.prepared))
+        Some(fitted_image(&self.shared.fitter, &fit.minimum, &fit.prepared))
     }
 
     /// Prepares frames 0 to `count` − 1 for [`SessionChannel::evaluate`], weighted by the noise of
@@ -244,17 +245,17 @@ impl SessionChannel {
 
 impl Shared {
     fn modes(&self) -> usize {
-        self.estimator.model.optics.modes()
+        self.fitter.model.optics.modes()
     }
 
     fn task<'a>(&'a self, control: &'a Control) -> FitTask<'a> {
-        let ModalFitter { model, reference, metrics, .. } = &*self.estimator;
+        let ModalFitter { model, reference, metrics, .. } = &*self.fitter;
         FitTask { model, reference, metrics, recipe: &self.recipe, control }
     }
 
     /// Read noise of a pixel: the one given, or the scene's.
     fn read_noise_e(&self, given: Option<f64>) -> Option<f64> {
-        given.or(self.estimator.scene.image.read_noise_e)
+        given.or(self.fitter.scene.image.read_noise_e)
     }
 
     /// The engine for `chain`, with its memory.
@@ -280,9 +281,9 @@ impl Shared {
     fn report(&self, fit: &mut ImageFit, result: &mut ImageResult) {
         match fit.state {
             FitState::Fitted => {
-                pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &fit.start_nm, &self.estimator.model);
+                pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &fit.start_nm, &self.fitter.model);
                 self.motions.remove(&mut fit.minimum.coefficients_nm);
-                result.report = assess(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
+                result.report = assess(&self.fitter.model, &self.tilts, &fit.prepared, &fit.minimum);
                 result.coefficients_nm.copy_from_slice(&fit.minimum.coefficients_nm);
             }
             FitState::Refused(refusal) => result.refuse(refusal),
@@ -308,8 +309,8 @@ fn prepare<'a>(
 
 impl FrameBuffer {
     /// Refuses a capacity that memory cannot hold, before any is allocated.
-    fn check_capacity(estimator: &ModalFitter, capacity: usize) -> Result<()> {
-        let preparation = &estimator.model.preparation;
+    fn check_capacity(fitter: &ModalFitter, capacity: usize) -> Result<()> {
+        let preparation = &fitter.model.preparation;
         let [x, y] = preparation.frame;
         // A frame with its mask, and at the model's sampling data, weights and floor.
         let bytes = x * y * (size_of::<f64>() + size_of::<bool>()) + 3 * size_of::<f64>() * preparation.pixels.pow(2);

@@ -15,11 +15,11 @@ fn a_session_warns_of_a_lost_device() {
     let settings = [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", "2")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
     let made = crate::source::simulate(&scene).unwrap();
-    let estimator = Arc::new(ModalFitter::new(&scene, true).unwrap());
+    let fitter = Arc::new(ModalFitter::new(&scene, true).unwrap());
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {
         let options = SessionOptions { capacity: 2, ..SessionOptions::default() };
-        let mut session = Session::new(estimator.clone(), &options).unwrap();
-        let optics = estimator.model().optics.clone();
+        let mut session = Session::new(fitter.clone(), &options).unwrap();
+        let optics = fitter.model().optics.clone();
         let chain = Chain::open(optics.clone(), info.address().parse().unwrap(), Precision::F64, 2).unwrap();
         let Chain::Device { chain: on_device, .. } = &chain else { panic!("a device that was named is opened") };
         let device = on_device.device().clone();

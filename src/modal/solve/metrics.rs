@@ -79,11 +79,11 @@ impl Metrics {
         self.flat(reference);
     }
 
-    /// Any of them, for its size.
+    /// The first of them, for callers that need its size alone.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes the image.
-    pub(in crate::modal) fn any(&self, reference: &CpuChain<f64>) -> Result<&Arc<Metric>> {
+    pub(in crate::modal) fn first(&self, reference: &CpuChain<f64>) -> Result<&Arc<Metric>> {
         self.level(reference, 0)
     }
 
@@ -114,9 +114,9 @@ impl Metrics {
 
     /// Levels between which an image of `flux_e` and the least variance `floor_e2` lies, with the
     /// multiples of the inverses of [`Metrics::covariance`] that add up to the information of the
-    /// image on a flat wavefront. With α of the lower and 1 − α of the higher f/S the weights 1/(h
-    /// + f) are right where h is 0 and where it is large; between the two they are up to 11 % too
-    /// low.
+    /// image on a flat wavefront. With α of the lower and 1 − α of the higher f/S the weights
+    /// 1/(h + f) are right where h is 0 and where it is large; between the two they are up to 11 %
+    /// too low.
     pub(in crate::modal) fn between(&self, reference: &CpuChain<f64>, flux_e: f64, floor_e2: f64) -> [(usize, f64); 2] {
         let (peak, last, flux_e) = (self.flat(reference).peak, LEVELS - 1, flux_e.max(1.0));
         let floor_of = |level| Self::relative_floor(peak, level);

@@ -22,8 +22,8 @@ const ROTATIONS_DEG: [f64; 9] = [6.0, -6.0, 12.0, -12.0, 18.0, -18.0, 24.0, -24.
 /// Key of the side of a pixel's sensitive square.
 const PIXEL_FILL: &str = "image.pixel_fill";
 
-/// What the fit with the scene leaves.
-struct Left {
+/// Residual of the fit with the optics of the scene.
+struct SceneFitResidual {
     /// Pixels of an image that are fitted.
     pixels: f64,
     /// Images that are used.
@@ -48,7 +48,7 @@ impl Work<'_> {
             Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
         })?;
         let (pixels, images) = (pixels_of(fitted), fitted.fit.1.used().max(1) as f64);
-        let left = Left {
+        let left = SceneFitResidual {
             pixels,
             images,
             is_misfit: excess > MISFIT_SIGMA * (2.0 * pixels).sqrt(),
@@ -81,7 +81,7 @@ impl Work<'_> {
     }
 
     /// One finding for each optical parameter of `scene`.
-    fn of_optics(&self, scene: &Scene, together: &FittedTogether, left: &Left, scale: f64) -> Vec<Finding> {
+    fn of_optics(&self, scene: &Scene, together: &FittedTogether, left: &SceneFitResidual, scale: f64) -> Vec<Finding> {
         let FittedTogether { minimum, parameters, others } = together;
         let mut findings = Vec::new();
         if let Some(minimum) = minimum {
@@ -101,7 +101,7 @@ impl Work<'_> {
         scene: &Scene,
         cache: &ModelCache,
         fitted: &Fitted,
-        left: &Left,
+        left: &SceneFitResidual,
     ) -> Result<FittedTogether> {
         let all = optics::parameters(scene);
         let done = |minimum: Option<OpticsMinimum>, parameters: &[Optic]| {
@@ -191,7 +191,7 @@ impl Work<'_> {
         scene: &Scene,
         cache: &ModelCache,
         shapes: &[Shape],
-        left: &Left,
+        left: &SceneFitResidual,
     ) -> Result<Option<f64>> {
         let is_blurred =
             |shape: &Shape| shape.kind == ShapeKind::Blur && shape.value.abs() > shapes::least(ShapeKind::Blur);
@@ -216,7 +216,7 @@ fn is_explained(minimum: &OpticsMinimum) -> bool {
 
 /// Finding of pixels that are squares without gaps where the scene has points: a fault where they
 /// lower the reduced χ², of the scene and of the squares, so far as an optical parameter must.
-fn of_square_pixels([own_chi2, chi2]: [f64; 2], left: &Left, scale: f64) -> Option<Finding> {
+fn of_square_pixels([own_chi2, chi2]: [f64; 2], left: &SceneFitResidual, scale: f64) -> Option<Finding> {
     let gain = left.images * (own_chi2 - chi2) * left.pixels / scale - (left.images * left.pixels).max(2.0).ln();
     let is_fault = gain > 0.0 && (chi2 - 1.0).max(0.0) < optics::MOST_LEFT * (own_chi2 - 1.0);
     is_fault.then(|| Finding {
@@ -236,7 +236,7 @@ fn of_square_pixels([own_chi2, chi2]: [f64; 2], left: &Left, scale: f64) -> Opti
 }
 
 /// Finding of a shape of the residual.
-fn of_shape(shape: &Shape, left: &Left, scale: f64) -> Finding {
+fn of_shape(shape: &Shape, left: &SceneFitResidual, scale: f64) -> Finding {
     // The shape is that of one image; a cause changes all.
     let gain =
         left.images * shape.decrease / scale - shape.parameters as f64 * (left.images * left.pixels).max(2.0).ln();

@@ -182,8 +182,8 @@ fn name(quarter: bool, flip: [bool; 2]) -> String {
     }
 }
 
-/// What a poke shows.
-pub(super) struct PokeAnswer {
+/// Orientation that follows from a poke.
+pub(super) struct PokeFinding {
     /// Keys to set, with their values; `None` where the poke does not decide.
     pub(super) settings: Option<Vec<Setting>>,
     /// Whether another segment or actuator moved than was stated.
@@ -202,8 +202,9 @@ pub(super) fn of_poke(
     poke: Poke,
     is_ambiguous: bool,
     control: &Control,
-) -> Result<PokeAnswer> {
-    let without = |is_other_part, explanation| Ok(PokeAnswer { settings: None, is_other_part, gain: 0.0, explanation });
+) -> Result<PokeFinding> {
+    let without =
+        |is_other_part, explanation| Ok(PokeFinding { settings: None, is_other_part, gain: 0.0, explanation });
     let mut found = match check_orientation(scene, before, after, poke, control)? {
         PokeResult::Orientation(found) => found,
         PokeResult::OtherPart(explanation) => return without(true, explanation),
@@ -247,5 +248,5 @@ pub(super) fn of_poke(
     // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was
     // fitted.
     let gain = 2.0 * (best.log_likelihood - runner_up.log_likelihood);
-    Ok(PokeAnswer { settings: Some(found.settings), is_other_part: false, gain, explanation })
+    Ok(PokeFinding { settings: Some(found.settings), is_other_part: false, gain, explanation })
 }

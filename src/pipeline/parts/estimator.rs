@@ -7,7 +7,7 @@ use crate::modal::FitSeries;
 use crate::pipeline::channels::{ChannelImages, Channels, by_diversity};
 use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::estimate::Estimate;
-use crate::pipeline::estimator::{Estimator, Ready, acknowledged};
+use crate::pipeline::estimator::{EstimateInput, Estimator, acknowledged};
 use crate::pipeline::images::Images;
 use crate::pipeline::pupil_turns::TurnedImages;
 use crate::scene::{Method, Scene};
@@ -62,7 +62,7 @@ impl Estimator {
 
     fn fits_of(&self, images: &[&Images], part: Part, earlier: Vec<FittedPart>) -> Result<FittedPart> {
         let cut = self.cut(images);
-        let Ready { scene, channels, .. } = self.ready(images, &cut)?;
+        let EstimateInput { scene, channels, .. } = self.ready(images, &cut)?;
         let identity = self.identity(&scene, &channels)?;
         let images = channels.iter().map(|channel| channel.images.len()).sum();
         let [with, _] = by_diversity(&channels);

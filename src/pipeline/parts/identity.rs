@@ -4,7 +4,7 @@
 use crate::io::file_of;
 use crate::pipeline::channels::ChannelImages;
 use crate::pipeline::policy::Policy;
-use crate::pipeline::scene_files::{check_file, scene_files};
+use crate::pipeline::scene_files::check_file;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::Array3;
@@ -28,7 +28,7 @@ pub(super) fn identity(policy: &Policy, scene: &Scene, channels: &[ChannelImages
     bytes(&mut hasher, env!("CARGO_PKG_VERSION").as_bytes());
     bytes(&mut hasher, format!("{policy:?}").as_bytes());
     bytes(&mut hasher, scene.text().as_bytes());
-    for (key, path) in scene_files(scene) {
+    for (key, path) in scene.files() {
         let path = file_of(path);
         // An estimate needs not all of them.
         if path.exists() {

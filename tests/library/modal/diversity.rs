@@ -55,7 +55,7 @@ fn diversity_error_is_in_the_error_bars_of_any_sequence() {
     let image = &known.image;
     let shared_nm = 0.02 * image.diversity_focus_waves_rms * image.wavelength_nm;
     // A multiple of the diversity, and nothing else; rounding of variances of some 10³ nm².
-    let along_nm = unsure.estimator().diversity_projection().unwrap().coefficients_nm * 0.02;
+    let along_nm = unsure.fitter().diversity_projection().unwrap().coefficients_nm * 0.02;
     for ((i, j), more_nm2) in (&wider - &covariance).indexed_iter() {
         assert!((more_nm2 - along_nm[i] * along_nm[j]).abs() < 1e-9, "{i} {j}: {more_nm2}");
     }

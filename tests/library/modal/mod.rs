@@ -9,7 +9,7 @@ mod session;
 
 use cophase::Control;
 use cophase::imaging::{Chain, Precision};
-use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, estimate_scene};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, ModelCache, Recipe, Refusal, Status, fitter_of};
 use cophase::scene::{Scene, System};
 use cophase::source::{self, SourceImages};
 use ndarray::{Array2, Array3, Axis, s};
@@ -33,10 +33,16 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
 }
 
+fn fitter_of_scene(scene: &System, cube: Cube) -> cophase::Result<ModalFitter> {
+    fitter_of(scene, Recipe::with_prior(scene), &ModelCache::default(), cube, &Control::default())
+}
+
 fn estimate(scene: &System, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-    let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
-    estimate_scene(scene, cube, &mut open, &Control::default()).unwrap()
+    let fitter = fitter_of_scene(scene, cube).unwrap();
+    let mut chain = Chain::cpu(fitter.model().optics.clone(), Precision::F64);
+    let found = fitter.estimate(&mut chain, cube, &Control::default()).unwrap();
+    (fitter, found)
 }
 
 /// Peak signal-to-noise ratio at which the error of this coarse model, half the noise at 500, is

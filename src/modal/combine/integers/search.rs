@@ -42,8 +42,8 @@ struct PistonPrior {
 }
 
 impl PistonPrior {
-    /// n ln Σ p² of all n + 1 pistons about their mean, which is the sum of the others plus n/(n +
-    /// 1) times the square of the distance of this one from their mean.
+    /// n ln Σ p² of all n + 1 pistons about their mean, which is the sum of the others plus
+    /// n/(n + 1) times the square of the distance of this one from their mean.
     fn cost(&self, piston_nm: f64) -> f64 {
         let share = self.count / (self.count + 1.0);
         self.count * (self.square_nm2 + share * (piston_nm - self.mean_nm).powi(2)).ln()

@@ -34,7 +34,7 @@ impl<T: Polynomial> FitLane<T> {
         let settings = settings(task.model, task.recipe, precision, task.control);
         Ok(Self {
             preparer: Preparer::new(task.model.preparation),
-            runner: Runner::new(task.metrics.any(task.reference)?, task.recipe, settings)?,
+            runner: Runner::new(task.metrics.first(task.reference)?, task.recipe, settings)?,
             loaded: chain.empty_image(),
             scratch: chain.scratch(),
             flat: chain.flat_wavefront(),

@@ -5,7 +5,7 @@ use crate::modal::fitter::ModalFitter;
 use crate::scene::Scene;
 use ndarray::{Array1, Axis};
 
-fn estimator() -> ModalFitter {
+fn fitter() -> ModalFitter {
     let small = [
         ("pupil.aperture", "hexagonal"),
         ("pupil.rings", "1"),
@@ -44,8 +44,8 @@ fn rounding(pixels: usize) -> f64 {
 
 #[test]
 fn products_in_tiles_are_those_of_the_whole() {
-    let estimator = estimator();
-    let linear = estimator.reference_chain().linearise(Array1::from_elem(26, 17.0).view());
+    let fitter = fitter();
+    let linear = fitter.reference_chain().linearise(Array1::from_elem(26, 17.0).view());
     let m = linear.pixels();
     let weights = weights(m * m);
     for nuisances in [Nuisances::None, Nuisances::Flux, Nuisances::FluxAndBackground] {
@@ -64,10 +64,10 @@ fn products_in_tiles_are_those_of_the_whole() {
 
 #[test]
 fn projection_removes_flux_and_background() {
-    let estimator = estimator();
+    let fitter = fitter();
     let at = Array1::from_elem(26, 17.0);
-    let (psf, mut jacobian) = estimator.reference_chain().jacobian(at.view());
-    let linear = estimator.reference_chain().linearise(at.view());
+    let (psf, mut jacobian) = fitter.reference_chain().jacobian(at.view());
+    let linear = fitter.reference_chain().linearise(at.view());
     let weights = weights(psf.len());
     // Gram-Schmidt on the derivatives themselves, in the product of the first weights.
     let weight = Array1::from(weights[0].clone());
