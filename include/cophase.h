@@ -553,7 +553,7 @@ typedef struct {
   /* Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1. */
   double read_noise_e;
   /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
-   *   scene's.
+   * scene's.
    */
   int64_t has_read_noise;
 } cophase_estimate_options;
@@ -983,7 +983,7 @@ typedef struct {
    */
   const double *start_nm;
   /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
-   *   scene's.
+   * scene's.
    */
   int64_t has_read_noise;
 } cophase_fit_options;

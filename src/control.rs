@@ -14,7 +14,7 @@ pub type CancelFlag = Arc<AtomicBool>;
 pub enum Stage {
     /// Nothing has begun.
     Idle,
-    /// The planner tries models on simulated images (`estimate.budget_nm`).
+    /// A planner tries models (`estimate.budget_nm`) or observations on simulated images.
     Planning,
     /// Pupil, modes and metric are built; optical parameters are fitted where the scene asks for
     /// it.
@@ -93,6 +93,15 @@ struct Shared {
     observer: Option<Mutex<Observer>>,
 }
 
+impl Shared {
+    fn begin(&self, stage: Stage, total: usize) {
+        let place = Stage::ALL.iter().position(|known| *known == stage).unwrap_or_default();
+        self.stage.store(place as u8, Ordering::Relaxed);
+        self.done.store(0, Ordering::Relaxed);
+        self.total.store(total as u64, Ordering::Relaxed);
+    }
+}
+
 impl Control {
     /// A control that calls `observer` whenever the progress changes, on a thread of the call.
     pub fn with_observer(observer: impl FnMut(Progress) + Send + 'static) -> Self {
@@ -108,12 +117,13 @@ impl Control {
     }
 
     /// Stops the call that is running, or else the next one, at its next safe place: it returns
-    /// [`Error::Interrupted`]. Safe in a signal handler.
+    /// [`Error::Interrupted`]. An estimator, a check and a session lower the flag then; plans and
+    /// simulators leave it up. Safe in a signal handler.
     pub fn cancel(&self) {
         self.shared.cancel.store(true, Ordering::Relaxed);
     }
 
-    /// Whether [`Control::cancel`] was called and no call has returned for it yet.
+    /// Whether the flag is up.
     pub fn is_cancelled(&self) -> bool {
         self.shared.cancel.load(Ordering::Relaxed)
     }
@@ -128,6 +138,11 @@ impl Control {
             total: shared.total.load(Ordering::Relaxed),
             all_done: shared.all_done.load(Ordering::Relaxed),
         }
+    }
+
+    /// A control without an observer, with a flag of the caller's.
+    pub fn of_flag(cancel: CancelFlag) -> Self {
+        Self { shared: Arc::new(Shared { cancel, ..Shared::default() }), ..Self::default() }
     }
 
     /// For work within a stage whose steps are not the stage's: cancelled with this control, and
@@ -158,23 +173,22 @@ impl Control {
 
     /// Resets the progress at the start of a call.
     pub(crate) fn reset_progress(&self) {
-        self.shared.all_done.store(0, Ordering::Relaxed);
-        self.enter(Stage::Idle, 0);
+        self.change(|shared| {
+            shared.all_done.store(0, Ordering::Relaxed);
+            shared.begin(Stage::Idle, 0);
+        });
     }
 
-    /// Lowers the flag after a call was cancelled.
+    /// Lowers the flag after a call was cancelled; work within a call leaves it to the call.
     pub(crate) fn acknowledge(&self) {
-        self.shared.cancel.store(false, Ordering::Relaxed);
+        if !self.is_silent {
+            self.shared.cancel.store(false, Ordering::Relaxed);
+        }
     }
 
     /// A stage of `total` steps begins.
     pub(crate) fn enter(&self, stage: Stage, total: usize) {
-        let place = Stage::ALL.iter().position(|known| *known == stage).unwrap_or_default();
-        self.change(|shared| {
-            shared.stage.store(place as u8, Ordering::Relaxed);
-            shared.done.store(0, Ordering::Relaxed);
-            shared.total.store(total as u64, Ordering::Relaxed);
-        });
+        self.change(|shared| shared.begin(stage, total));
     }
 
     /// `steps` more of this stage are done. No more than all are counted: images of a device that
@@ -184,10 +198,11 @@ impl Control {
         if steps > 0 {
             self.change(|shared| {
                 let total = shared.total.load(Ordering::Relaxed);
-                let before = shared.done.fetch_add(steps, Ordering::Relaxed);
-                let beyond = if total == 0 { 0 } else { (before + steps).saturating_sub(total).min(steps) };
-                shared.done.fetch_sub(beyond, Ordering::Relaxed);
-                shared.all_done.fetch_add(steps - beyond, Ordering::Relaxed);
+                let most = if total == 0 { u64::MAX } else { total };
+                let after = |done: u64| (done + steps).min(most.max(done));
+                let counted = shared.done.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |done| Some(after(done)));
+                let before = counted.unwrap_or_else(|done| done);
+                shared.all_done.fetch_add(after(before) - before, Ordering::Relaxed);
             });
         }
     }
@@ -236,6 +251,7 @@ mod tests {
         control.step(2);
         control.silent().enter(Stage::Combining, 0);
         control.silent().step(1);
+        control.silent().reset_progress();
         // One image of a device that was lost, again.
         control.step(2);
         let expected = Progress { stage: Stage::Fitting, done: 3, total: 3, all_done: 3 };

@@ -82,6 +82,7 @@ impl<'a> LoopRun<'a> {
                 self.update_statistics();
                 self.frame += 1;
                 if self.divergence.is_some() || self.frame == frames {
+                    control.step((self.frame - (self.frame - 1) / LOOK_EVERY * LOOK_EVERY) as usize);
                     return Ok(());
                 }
                 if self.frame.is_multiple_of(LOOK_EVERY) {

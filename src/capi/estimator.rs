@@ -81,7 +81,7 @@ pub struct cophase_estimate_options {
     /// Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1.
     pub read_noise_e: f64,
     /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
-    ///   scene's.
+    /// scene's.
     pub has_read_noise: i64,
 }
 

@@ -54,7 +54,7 @@ pub struct cophase_fit_options {
     /// for a flat wavefront.
     pub start_nm: *const f64,
     /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the
-    ///   scene's.
+    /// scene's.
     pub has_read_noise: i64,
 }
 

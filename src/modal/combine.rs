@@ -238,7 +238,7 @@ impl ModalFitter {
         let count = estimate.images.len();
         let (modes, own) = (estimate.image_coefficients_nm.ncols(), self.model.optics.modes());
         if modes != own {
-            return Err(Error::Shape(format!("the estimate has {modes} modes where its estimator has {own}")));
+            return Err(Error::Shape(format!("the estimate has {modes} modes where its fitter has {own}")));
         }
         if let Some(image) = images.iter().find(|&&image| image >= count) {
             return Err(Error::Value(format!(
@@ -305,8 +305,9 @@ fn noise_at(
     let minimum = Minimum { coefficients_nm: coefficients_nm.to_vec(), ..minimum.clone() };
     let psf = fitter.reference.psf(ArrayView1::from(coefficients_nm));
     let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
-    let spread = ImageCovariances::new(fitter, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
-    Ok((spread.covariance(0).clone(), spread.fisher(0).clone()))
+    let covariances =
+        ImageCovariances::new(fitter, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
+    Ok((covariances.covariance(0).clone(), covariances.fisher(0).clone()))
 }
 
 /// Mean factor by which [`few_images`] scales the noise of the images `used`.
@@ -336,11 +337,11 @@ fn few_images(
     // Where no fit converged there may be many images, and each keeps two matrices.
     for images in used.chunks(SEQUENCE) {
         let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
-        let spread = ImageCovariances::new(fitter, images, prepared, minima, &variances)?;
+        let covariances = ImageCovariances::new(fitter, images, prepared, minima, &variances)?;
         for (place, &image) in images.iter().enumerate() {
-            noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(place));
+            noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, covariances.covariance(place));
         }
-        fisher.get_or_insert_with(|| spread.fisher(0).clone());
+        fisher.get_or_insert_with(|| covariances.fisher(0).clone());
     }
     let scatter_nm2 = covariance_with_scatter(noise_nm2.clone(), used_nm);
     let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;

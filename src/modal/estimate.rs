@@ -164,6 +164,7 @@ impl ModalFitter {
         fit.start_nm.copy_from_slice(start_nm);
         let (mut fits, images) = (vec![fit; frames.len()], (0..frames.len()).collect::<Vec<_>>());
         let step = series.as_deref_mut().map(|series| SeriesStep { series, images: &images, step: FIRST });
+        task.control.enter(Stage::Fitting, frames.len());
         self.fit_frames(chain, task, frames, &mut fits, step)?;
         task.control.enter(Stage::Combining, 0);
         let cleaned = self.reject_outliers(chain, task, frames, &mut fits, series)?;

@@ -39,6 +39,7 @@ pub(crate) use assess::residual::photometry;
 pub use assess::status::{ImageReport, Status};
 pub use combine::accumulator::{Accumulator, RunningEstimate};
 pub use combine::combined_modes::CombinedModes;
+pub(crate) use combine::combined_modes::sigma_nm;
 pub use combine::diversity_error::{DiversityProjection, SharedError};
 pub(crate) use combine::diversity_error::{ModeProjector, check_reachable, has_diversity};
 pub(crate) use combine::global_motions::GlobalMotions;

@@ -1,4 +1,4 @@
-//! The function to minimise, the cancel flag, and checks of points and gradients.
+//! The function to minimise, and checks of points, gradients and the cancel flag.
 
 use crate::control::CancelFlag;
 use crate::{Error, Result};

@@ -352,7 +352,8 @@ impl Estimate {
                 let modes = ModalErrors {
                     scene: &self.scene,
                     model: modal.fitter.model(),
-                    modes: &self.modes,
+                    coefficients_nm: &self.modes.coefficients_nm,
+                    covariance_nm2: self.modes.covariance_nm2.view(),
                     segment_limit_nm,
                 };
                 modes.corrections(limit_nm)?

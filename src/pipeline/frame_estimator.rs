@@ -131,7 +131,8 @@ impl FrameEstimator {
     /// [`Error::Shape`] for another number of modes; [`Error::Value`] for segment modes that are
     /// not pistons.
     pub fn correction(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<Correction> {
-        self.errors(&self.checked(coefficients_nm, covariance_nm2)?).correction()
+        let coefficients_nm = coefficients_nm.to_vec();
+        self.errors(&coefficients_nm, covariance_nm2)?.correction()
     }
 
     /// Corrections of these modes, such as those of a tracked state, as [`Estimate::corrections`]
@@ -144,7 +145,8 @@ impl FrameEstimator {
         coefficients_nm: ArrayView1<f64>,
         covariance_nm2: ArrayView2<f64>,
     ) -> Result<Corrections> {
-        self.errors(&self.checked(coefficients_nm, covariance_nm2)?).corrections(None)
+        let coefficients_nm = coefficients_nm.to_vec();
+        self.errors(&coefficients_nm, covariance_nm2)?.corrections(None)
     }
 
     /// What `corrections` change of the coefficients, nm, when they are applied.
@@ -155,20 +157,21 @@ impl FrameEstimator {
         change_by(&self.scene, self.fitter.model(), corrections)
     }
 
-    fn errors<'a>(&'a self, modes: &'a CombinedModes) -> ModalErrors<'a> {
-        let segment_limit_nm = self.scene.image.wavelength_nm / 4.0;
-        ModalErrors { scene: &self.scene, model: self.fitter.model(), modes, segment_limit_nm }
-    }
-
-    fn checked(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<CombinedModes> {
-        let modes = self.fitter.model().basis.len();
+    fn errors<'a>(
+        &'a self,
+        coefficients_nm: &'a [f64],
+        covariance_nm2: ArrayView2<'a, f64>,
+    ) -> Result<ModalErrors<'a>> {
+        let model = self.fitter.model();
+        let modes = model.basis.len();
         let (given, (rows, columns)) = (coefficients_nm.len(), covariance_nm2.dim());
         if [given, rows, columns] != [modes; 3] {
             return Err(Error::Shape(format!(
                 "{given} modes with a covariance of {rows}x{columns} were given, where {modes} modes are needed"
             )));
         }
-        Ok(CombinedModes { coefficients_nm: coefficients_nm.to_vec(), covariance_nm2: covariance_nm2.to_owned() })
+        let segment_limit_nm = self.scene.image.wavelength_nm / 4.0;
+        Ok(ModalErrors { scene: &self.scene, model, coefficients_nm, covariance_nm2, segment_limit_nm })
     }
 }
 

@@ -26,10 +26,9 @@ use std::time::Instant;
 /// pixels modelled as points make it 8. That is at [`EXPLAINED_AT_NM`].
 const EXPLAINED: f64 = 6.0;
 const EXPLAINED_AT_NM: f64 = 2168.6;
-/// Largest ratio of the excess over 1 that is explained in another wavelength; that of 1.64 µm is 3.
-/// The light that turbulence scatters grows as λ⁻², and the excess as its square: of 25 images
-/// each behind Keck's loop, at one resolution, those at 2.17 µm have a χ² of 4 and those at 1.64 µm
-/// 14.
+/// Largest ratio of the excess over 1 that is explained in another wavelength (3 at 1.64 µm). The
+/// light that turbulence scatters grows as λ⁻², and the excess as its square: of 25 images each
+/// behind Keck's loop, at one resolution, those at 2.17 µm have a χ² of 4 and those at 1.64 µm 14.
 const LARGEST_RATIO: f64 = 4.0;
 /// Least reduced χ² of images in electrons: over thousands of pixels it scatters by 0.02 about 1 or
 /// more. Counts of 20 electrons each that are read as electrons give 0.05 to 0.1.

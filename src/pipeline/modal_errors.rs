@@ -3,19 +3,21 @@
 use crate::ao::actuators_in_use;
 use crate::linear_algebra::SpdInverse;
 use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
-use crate::modal::{self, CombinedModes};
+use crate::modal::{self, sigma_nm};
 use crate::modes::{Group, Samples};
 use crate::scene::Scene;
 use crate::tracking::{Correction, CorrectionPolicy};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
 
 /// Modes of a model: of an estimate, or tracked.
 pub(super) struct ModalErrors<'a> {
     pub(super) scene: &'a Scene,
     pub(super) model: &'a modal::Model,
     /// Segment modes, then NCPA modes.
-    pub(super) modes: &'a CombinedModes,
+    pub(super) coefficients_nm: &'a [f64],
+    /// Their covariance.
+    pub(super) covariance_nm2: ArrayView2<'a, f64>,
     /// Largest correction of a piston, nm.
     pub(super) segment_limit_nm: f64,
 }
@@ -60,13 +62,13 @@ impl ModalErrors<'_> {
             self.model.map_nm(&all_nm, Group::Ncpa)
         };
         make(&CorrectableErrors {
-            pistons_nm: &self.modes.coefficients_nm[..pistons],
+            pistons_nm: &self.coefficients_nm[..pistons],
             tilts_nm: &[],
-            segment_covariance_nm2: self.modes.covariance_nm2.slice(s![..pistons, ..pistons]),
+            segment_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
             has_uncertain_plane: false,
             segment_limit_nm: self.segment_limit_nm,
-            ncpa_nm: &self.modes.coefficients_nm[segment_modes..],
-            ncpa_sigma_nm: &self.modes.sigma_nm()[segment_modes..],
+            ncpa_nm: &self.coefficients_nm[segment_modes..],
+            ncpa_sigma_nm: &sigma_nm(self.covariance_nm2)[segment_modes..],
             ncpa: NcpaModes::Maps(&map_nm),
             has_ncpa_corrector: self.scene.has_mirror(),
             reference_mas_per_nm: None,

@@ -140,7 +140,6 @@ impl ModalTask<'_> {
     fn begin(&self, fitter: &ModalFitter, count: usize) -> Result<Chain> {
         self.control.check("the model was built, no image was fitted")?;
         fitter.model().check_images(count)?;
-        self.control.enter(Stage::Fitting, count);
         self.open(fitter)
     }
 

@@ -55,9 +55,9 @@ impl Scene {
         files.into_iter().filter_map(|(key, file)| Some((key, self.resolve(file?)))).chain(channels).collect()
     }
 
-    /// Refuses a scene that names a file which does not exist under a key that `is_checked` accepts,
-    /// whether or not the file is read: a misspelt name would have no effect. A missing map of
-    /// NCPA is an error for simulators, which read it, and not for an estimate.
+    /// Refuses a scene that names a file which does not exist under a key that `is_checked`
+    /// accepts, whether or not the file is read: a misspelt name would have no effect. A missing
+    /// map of NCPA is an error for simulators, which read it, and not for an estimate.
     ///
     /// # Errors
     /// [`Error::File`] with the name of the file and the key.

@@ -96,7 +96,8 @@ impl Parameter {
         sections.setting(self.key).and_then(|setting| setting.value.number()).unwrap_or(f64::NAN)
     }
 
-    /// Sets the value; other forms of the quantity give way.
+    /// Sets the value; other forms of the quantity give way. Every row of the table can: a test
+    /// sets each.
     pub(crate) fn set(&self, sections: &mut Sections, value: f64) {
         let done = sections.apply(&Setting::new(self.key, value));
         debug_assert!(done.is_ok(), "{done:?}");

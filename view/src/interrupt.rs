@@ -137,12 +137,7 @@ impl Interrupt {
 
     /// The control of calls that stop at Ctrl-C, and show no progress.
     pub fn silent_control(&self) -> Control {
-        Control::with_flag(self.flag.clone(), |_| {})
-    }
-
-    /// The flag that Ctrl-C raises.
-    pub fn flag(&self) -> &CancelFlag {
-        &self.flag
+        Control::of_flag(self.flag.clone())
     }
 
     /// Whether the user wants to stop.

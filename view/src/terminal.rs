@@ -56,7 +56,7 @@ impl Terminal {
         }
     }
 
-    /// Shows the progress of an estimate, whose [`Control`](cophase::pipeline::Control) calls
+    /// Shows the progress of a call, whose [`Control`](cophase::pipeline::Control) calls
     /// [`Wait::observer`].
     pub fn follow(&self) -> Wait {
         self.wait(Stage::Preparing.label(), 1)
@@ -114,7 +114,7 @@ impl Wait {
         self.bar.set_position(done as u64);
     }
 
-    /// Shows each stage of an estimate: a bar where it has steps, else a clock.
+    /// Shows each stage of a call: a bar where it has steps, else a clock.
     pub fn observer(&self) -> impl FnMut(Progress) + Send + 'static {
         let bar = self.bar.clone();
         let mut shown = Stage::Idle;

@@ -3,8 +3,7 @@
 use super::{Draw, KeptDraw, Progress, statistics, to_cells, to_numbers};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::{MapGram, residual_nm};
-use cophase::modal::Cube;
-use cophase::modal::{Frame, ModalEstimate, ModalFitter};
+use cophase::modal::{Cube, Frame, ModalEstimate, ModalFitter};
 use cophase::modes::Group;
 use cophase::optimize::Metric;
 use cophase::scene::Scene;

@@ -54,7 +54,7 @@ pub struct RunningEstimate {
 }
 
 impl Accumulator {
-    /// An accumulator of the last `capacity` images of the estimator's model.
+    /// An accumulator of the last `capacity` images of the fitter's model.
     ///
     /// # Errors
     /// [`Error::Value`] for a capacity of 0, or one that memory cannot hold.

@@ -1,6 +1,6 @@
 //! Coefficients of the static wavefront with their covariance.
 
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView2};
 
 /// Modes of the static wavefront.
 #[derive(Debug, Clone)]
@@ -14,6 +14,11 @@ pub struct CombinedModes {
 impl CombinedModes {
     /// Standard deviation of each mode, nm.
     pub fn sigma_nm(&self) -> Vec<f64> {
-        self.covariance_nm2.diag().iter().map(|v| v.max(0.0).sqrt()).collect()
+        sigma_nm(self.covariance_nm2.view())
     }
+}
+
+/// Standard deviation of each mode of a covariance, nm.
+pub(crate) fn sigma_nm(covariance_nm2: ArrayView2<f64>) -> Vec<f64> {
+    covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect()
 }

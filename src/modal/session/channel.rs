@@ -145,7 +145,7 @@ impl SessionChannel {
         for (image, fit) in self.fits[..count].iter_mut().enumerate() {
             write_start(&mut fit.start_nm, start_nm.as_ref().map(|start_nm| start_nm.row(image)));
         }
-        let control = self.shared.control.until(deadline);
+        let control = self.shared.control.silent().until(deadline);
         let task = self.shared.task(&control);
         let prepare = prepare(&self.frames, &self.shared.recipe, self.shared.read_noise_e(read_noise_e));
         let outcome = self.engine.fit(&task, &prepare, &mut self.fits[..count]);
@@ -187,9 +187,9 @@ impl SessionChannel {
         let fitter = &self.shared.fitter;
         let psf = fitter.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-        let spread =
+        let covariances =
             ImageCovariances::new(fitter, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
-        Ok(fitter.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
+        Ok(fitter.with_shared(covariances.covariance(0) * result.report.reduced_chi2.max(1.0)))
     }
 
     /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It

@@ -130,6 +130,7 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
             ready.par_iter_mut().for_each(|image| weigh_dead(&mut image.prepared));
         }
         let (count, mut done) = (ready.len(), 0);
+        task.control.step(all - count);
         for images in ready.chunks_mut(tile) {
             self.fit_tile(task, images).map_err(|error| match error {
                 Error::Interrupted(_) if count > tile => interrupted(done, count),

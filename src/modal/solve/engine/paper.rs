@@ -19,8 +19,10 @@ const COST_TOLERANCE: f64 = 1e-13;
 
 pub(super) fn fit(chain: &mut Chain, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {
     prepare_all(task, prepare, images);
+    let all = images.len();
     let mut ready: Vec<&mut ImageFit> = images.iter_mut().filter(|image| image.state == FitState::NotBegun).collect();
     let (count, mut done) = (ready.len(), 0);
+    task.control.step(all - count);
     for images in ready.chunks_mut(task.model.tiles().images) {
         let exposures: Vec<Exposure> = images.iter().map(|image| image.prepared.exposure.clone()).collect();
         chain.load(&exposures)?;

@@ -116,13 +116,16 @@ fn run(
         let taken = lock(queue).take(place);
         let Some(Piece { first, images }) = taken else { return Ok(()) };
         let began = Instant::now();
+        // A piece counts when it is done: one that is lost is fitted again.
+        let silent = task.control.silent();
         let outcome = DeviceEngine::new(&mut member.chain).fit(
-            task,
+            &FitTask { control: &silent, ..*task },
             &|index, preparer, prepared| prepare(first + index, preparer, prepared),
             images,
         );
         match outcome {
             Ok(()) => {
+                task.control.step(images.len());
                 member.images_per_s = Some(images.len() as f64 / began.elapsed().as_secs_f64().max(1e-9));
                 lock(queue).speeds[place] = member.images_per_s;
             }

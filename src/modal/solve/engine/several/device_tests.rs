@@ -51,7 +51,6 @@ impl Batch {
                 }
             })
         };
-        control.enter(Stage::Fitting, self.images_e.dim().0);
         let found = self.fitter.fit_each(chain, cube, &control)?;
         let counts = counts.lock().unwrap();
         assert!(counts.is_sorted(), "{counts:?}");
