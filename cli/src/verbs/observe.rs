@@ -16,7 +16,7 @@ pub fn planned(
     terminal: &Terminal,
     interrupt: &Interrupt,
 ) -> Result<ObservationPlan> {
-    let wait = terminal.wait("Trying observations", 0);
+    let wait = terminal.follow();
     plan_observation(scene, wavelengths_nm, budget_nm, &interrupt.control(&wait))
 }
 

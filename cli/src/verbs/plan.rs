@@ -101,7 +101,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
 
 /// Plans with a progress line, and warns where the budget cannot be met.
 pub fn planned(scene: &Scene, budget_nm: f64, terminal: &Terminal, interrupt: &Interrupt) -> Result<Plan> {
-    let wait = terminal.wait("Planning the model", 0);
+    let wait = terminal.follow();
     let plan = planner::plan(scene, budget_nm, &interrupt.control(&wait));
     drop(wait);
     let plan = plan?;

@@ -193,7 +193,7 @@ fn simulate(
         terminal.warn(&stability(&simulator));
     }
     let mut shots: Vec<Shot> = Vec::new();
-    let wait = terminal.wait("Closing the loop", 2);
+    let wait = terminal.follow();
     let summary = simulator.run(&mut shots, &interrupt.control(&wait))?;
     Ok((simulator, shots, summary))
 }
