@@ -74,7 +74,7 @@ pub struct SlopeRegression {
     pub excludes_flips: bool,
     /// Least correlation that noise does not explain.
     pub significant_correlation: f64,
-    /// Subapertures (row, column) whose slopes hardly change from image to image, where those of
+    /// Subapertures (row, column) whose slopes change little from image to image, where those of
     /// the others do.
     pub stuck: Vec<(usize, usize)>,
 }

@@ -67,11 +67,11 @@ pub struct Estimate {
     pub run: Run,
     /// Maps that simulated images were made with, and the residual against them.
     pub truth: Option<(StaticMaps, Comparison)>,
-    /// What only estimates by its method have.
+    /// Results that estimates by its method alone have.
     pub method: MethodResult,
 }
 
-/// What only estimates by one method have.
+/// Results that estimates by one method alone have.
 #[derive(Debug, Clone)]
 pub enum MethodResult {
     /// Static modes fitted to each image, images combined.
@@ -283,7 +283,7 @@ impl OpticalParameter {
 }
 
 impl Estimate {
-    /// What a modal estimate has; `None` for a MAP estimate.
+    /// The fits of a modal estimate; `None` for a MAP estimate.
     pub fn modal(&self) -> Option<&ModalSummary> {
         match &self.method {
             MethodResult::Modal(modal) => Some(modal),
@@ -291,7 +291,7 @@ impl Estimate {
         }
     }
 
-    /// What a MAP estimate has; `None` for a modal estimate.
+    /// The iterations of a MAP estimate; `None` for a modal estimate.
     pub fn full_phase(&self) -> Option<&FullPhaseSummary> {
         match &self.method {
             MethodResult::Modal(_) => None,

@@ -39,7 +39,7 @@ impl FinePupil {
 impl Pupil {
     /// A pupil from its maps: `amplitude` `[y, x]` in [0, 1], `labels` `[y, x]` of 0 or more for
     /// the segments and negative elsewhere; without labels, one segment (a monolithic telescope).
-    /// Segments are counted from 0 by ascending label, whatever the labels are
+    /// Segments are counted from 0 by ascending label, for labels of any values
     /// ([`Segment::label`]). Where no label is negative, 0 is no segment if only samples at the rim
     /// of others have it, as where segments are labelled from 1.
     ///

@@ -211,8 +211,8 @@ fn is_imported(tokens: &[TokenTree], at: usize) -> bool {
     at >= 1 && matches!(ident(tokens, at - 1).as_deref(), Some("use" | "crate"))
 }
 
-/// Whether `extern` before `token` speaks C: `extern "C"`, `extern "C-unwind"`, and `extern fn` or
-/// `extern {` for short.
+/// Whether `extern` before `token` is the ABI of C: `extern "C"`, `extern "C-unwind"`, and
+/// `extern fn` or `extern {` for short.
 fn declares_c(token: Option<&TokenTree>) -> bool {
     match token {
         Some(TokenTree::Literal(abi)) => abi.to_string().starts_with("\"C"),

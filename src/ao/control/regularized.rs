@@ -6,7 +6,7 @@
 //!
 //! where C takes the second differences of the commands between neighbouring actuators along x and
 //! along y. It stands for the inverse covariance of the turbulence (Ellerbroek 2002, JOSA A 19,
-//! 1803), and is small for smooth commands and 64 for waffle, which the slopes hardly measure. D is
+//! 1803), and is small for smooth commands and 64 for waffle, which the slopes measure weakly. D is
 //! local (an influence function reaches a few lenslets), so the matrix A of the normal equations is
 //! a band over the actuators row by row. Without the constraint piston would be a random walk,
 //! since only its edges are measured; with it the commands are x − u·Σx/Σu, where x = A⁻¹Dᵀs and u
@@ -312,7 +312,7 @@ mod tests {
             let size = |matrix: &Array2<f64>| matrix.iter().map(|value| value * value).sum::<f64>().sqrt();
             let error = size(&(&found - &known)) / size(&known);
             println!("{error:.1e}");
-            // What is left out of the band changes the few modes that have hardly more than
+            // What is left out of the band changes the few modes that have little more than
             // piston's regularisation by up to a quarter of it, and the power method that of all
             // modes by 1 %: a hundredth or two of the norm, which these modes dominate.
             assert!(error < 0.03, "{condition}: {error:.1e}");

@@ -52,7 +52,7 @@ impl Status {
         }
     }
 
-    /// Place among the statuses, from the best, whatever the reason.
+    /// Place among the statuses, from the best; the reason does not count.
     pub(in crate::modal) fn rank(&self) -> usize {
         match self {
             Status::Ok => 0,

@@ -170,7 +170,7 @@ pub struct ImageResult {
     /// used, the start where the deadline came before its turn.
     pub coefficients_nm: Vec<f64>,
     /// Status and figures of the fit. Past the deadline the status is [`Status::NotConverged`] with
-    /// [`StopReason::DeadlineReached`]; an image whose turn never came has no evaluations.
+    /// [`StopReason::DeadlineReached`]; an image that was not begun has no evaluations.
     pub report: ImageReport,
     /// Wall-clock time of this image's fit; of a batch on a device, that of the batch.
     pub seconds: f64,

@@ -35,7 +35,7 @@ fn difference(found: &Array2<f64>, wanted: &Array2<f64>) -> f64 {
     found.indexed_iter().map(|((i, j), v)| (v - wanted[[i, j]]).abs() / size(i, j)).fold(0.0, f64::max)
 }
 
-/// A sum of P products is off by P·ε/2 of Σ|a·b| ≤ √(Σa²·Σb²) at most, in whatever order; two sums
+/// A sum of P products is off by P·ε/2 of Σ|a·b| ≤ √(Σa²·Σb²) at most, in any order; two sums
 /// by twice that. The derivatives themselves are the same in all tiles but for the shape of the
 /// products that make them, some ε·n² ≈ 1e-12 at worst.
 fn rounding(pixels: usize) -> f64 {
