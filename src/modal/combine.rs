@@ -4,7 +4,6 @@ pub(in crate::modal) mod accumulator;
 pub(in crate::modal) mod combined_modes;
 pub(in crate::modal) mod diversity_error;
 pub(in crate::modal) mod global_motions;
-pub(in crate::modal) mod in_focus;
 pub(in crate::modal) mod integers;
 pub(in crate::modal) mod joint;
 pub(in crate::modal) mod pistons;
@@ -21,7 +20,6 @@ use crate::modal::assess::residual::variance;
 use crate::modal::assess::status::{ImageReport, Selection, Status};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::combine::in_focus::NearLikelihood;
 use crate::modal::combine::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
@@ -113,8 +111,8 @@ pub struct ModalEstimate {
     pub precision: Precision,
     /// The combined modes without a prior and without the errors that all images share.
     likelihood: CombinedModes,
-    /// The likelihood of images in focus near the estimate of others, in place of `likelihood`.
-    pub(super) near: Option<NearLikelihood>,
+    /// Whether the images were fitted together with those of other channels.
+    pub(super) is_of_group: bool,
     /// Covariances of a single image.
     single: SingleImage,
 }
@@ -136,9 +134,10 @@ impl ModalEstimate {
         &self.likelihood
     }
 
-    /// Whether this is an estimate from images in focus near that of other images.
-    pub(crate) fn is_near_others(&self) -> bool {
-        self.near.is_some()
+    /// Whether the images were fitted together with those of other channels, which determine what
+    /// these do not.
+    pub(crate) fn is_of_group(&self) -> bool {
+        self.is_of_group
     }
 
     /// Number of images that were combined.
@@ -214,7 +213,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube) -> Result<Mo
         images,
         image_coefficients_nm,
         likelihood,
-        near: None,
+        is_of_group: false,
         single,
         seconds: 0.0,
         device: String::new(),

@@ -10,8 +10,6 @@ use super::prepare::Frame;
 use crate::control::{Control, Stage};
 use crate::imaging::Chain;
 use crate::modal::assess::status::Status;
-use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::combine::in_focus::NearLikelihood;
 use crate::modal::combine::pistons;
 use crate::modal::combine::sequence::SEQUENCE;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
@@ -55,26 +53,6 @@ impl ModalFitter {
         let started = Instant::now();
         let fitted = self.fit_all(chain, cube, start_nm, series, control)?;
         self.combined(chain, fitted, started)
-    }
-
-    /// Estimate from images in focus, near the estimate `others` of other images of the same
-    /// wavefront: see [`NearLikelihood`].
-    ///
-    /// # Errors
-    /// As [`ModalFitter::estimate`].
-    pub(crate) fn estimate_near(
-        &self,
-        chain: &mut Chain,
-        cube: Cube,
-        others: &CombinedModes,
-        control: &Control,
-    ) -> Result<ModalEstimate> {
-        let started = Instant::now();
-        let mut fitted = self.fit_all(chain, cube, Some(&others.coefficients_nm), None, control)?;
-        let near = NearLikelihood::new(self, &fitted.prepared, &mut fitted.minima, others)?;
-        let mut estimate = self.combined(chain, fitted, started)?;
-        estimate.near = Some(near);
-        Ok(estimate)
     }
 
     fn combined(&self, chain: &Chain, fitted: FittedCube, started: Instant) -> Result<ModalEstimate> {
@@ -175,7 +153,7 @@ impl ModalFitter {
     ///
     /// # Errors
     /// [`Error::Shape`] where they have another size than the scene says.
-    fn frames<'a>(&self, cube: &'a Cube) -> Result<Vec<Frame<'a>>> {
+    pub(super) fn frames<'a>(&self, cube: &'a Cube) -> Result<Vec<Frame<'a>>> {
         let read_noise_e = cube.read_noise_e.or(self.scene.image.read_noise_e);
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();

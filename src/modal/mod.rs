@@ -15,6 +15,7 @@
 //! | `assess` | χ², status, Fisher matrix and covariance of a fit |
 //! | `combine` | fits to one estimate: sequences, channels, whole wavelengths, errors that all share |
 //! | `fitter`, `estimate` | the fitter of a model, and the steps of an estimate in turn |
+//! | `group` | images of one wavefront fitted together |
 //! | `fit_optics` | optical parameters fitted together with the modes |
 //! | `session` | fits in real time |
 //! | `pointing` | where the star is in an image |
@@ -29,6 +30,7 @@ mod combine;
 mod estimate;
 mod fit_optics;
 mod fitter;
+mod group;
 mod model;
 mod pointing;
 mod prepare;
@@ -41,7 +43,7 @@ pub use combine::accumulator::{Accumulator, RunningEstimate};
 pub use combine::combined_modes::CombinedModes;
 pub(crate) use combine::combined_modes::sigma_nm;
 pub use combine::diversity_error::{DiversityProjection, SharedError};
-pub(crate) use combine::diversity_error::{ModeProjector, check_reachable, has_diversity};
+pub(crate) use combine::diversity_error::{ModeProjector, check_reachable, has_diversity, is_weak};
 pub(crate) use combine::global_motions::GlobalMotions;
 pub use combine::integers::PistonInteger;
 pub(crate) use combine::integers::{ColourEstimate, are_determined, resolve_estimates};
@@ -56,6 +58,7 @@ pub use estimate::scene_fitter::fitter_of;
 pub use fit_optics::fitted_optic::FittedOptic;
 pub(crate) use fit_optics::{OpticsMinimum, OpticsStart, explaining_fit, fit_together};
 pub use fitter::ModalFitter;
+pub(crate) use group::{GroupChannel, GroupEstimate, Minima, estimate_group};
 pub use model::Model;
 pub use model::arrays::Arrays;
 pub use model::memory::{Memory, Tiles};

@@ -27,6 +27,7 @@ use ndarray::Array2;
 use std::sync::Arc;
 
 /// Model of the images of one scene: everything that does not depend on the images.
+#[derive(Clone)]
 pub struct Model {
     /// The telescope, on the scene's grid.
     pub telescope: Telescope,
@@ -158,6 +159,16 @@ impl Model {
             grid_width_m: grid.width_m(),
         }
         .within_memory()
+    }
+
+    /// This model with `factor` times the diversity.
+    ///
+    /// # Errors
+    /// Those of [`Optics::new`].
+    pub(super) fn with_diversity_times(&self, factor: f64) -> Result<Self> {
+        let mut parts = self.optics.parts().clone();
+        parts.diversity_nm.iter_mut().for_each(|nm| *nm *= factor);
+        Ok(Self { optics: Arc::new(Optics::new(parts)?), ..self.clone() })
     }
 
     /// Width of the model's grid over that of the scene's.

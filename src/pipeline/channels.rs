@@ -4,6 +4,7 @@
 use super::consistency::Electrons;
 use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::explain::explain;
+use super::group::{self, is_group};
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{Extension, Selected};
@@ -11,8 +12,8 @@ use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
 use crate::control::{Control, Stage};
-use crate::modal::{CombinedModes, FitSeries, JointEstimate, ModelCache, Status, has_diversity, joint};
-use crate::scene::{Optic, Scene, Sections, Weighting};
+use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, joint};
+use crate::scene::{Optic, Scene, Sections};
 use crate::statics::ErrorTerm;
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -54,50 +55,23 @@ pub(super) fn estimate(
     channels: &[ChannelImages],
     series: Option<&mut [FitSeries]>,
 ) -> Result<Estimate> {
-    let [with, in_focus] = by_diversity(channels);
-    let defocused = Channels::new(scene, policy, control, &with)?;
+    if is_group(scene, policy, channels)? {
+        if series.is_some() {
+            return Err(Error::Scene(format!(
+                "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
+                scene.name()
+            )));
+        }
+        return group::estimate(scene, policy, control, channels);
+    }
+    let all: Vec<&ChannelImages> = channels.iter().collect();
+    let own = Channels::new(scene, policy, control, &all)?;
     if let [ChannelImages { name: None, .. }] = channels {
-        return defocused.only(series);
+        return own.only(series);
     }
-    let (mut fits, mut found) = defocused.fit_with_extensions(series)?;
-    let (mut used, mut left_out) = (with.clone(), Vec::new());
-    if !in_focus.is_empty() {
-        let others = (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.modes.clone());
-        let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
-        let own = Channels::new(scene, policy, control, &in_focus)?;
-        let own = own.extended(selected.map_or(&[], |selected| &selected.extensions))?;
-        for (number, channel) in in_focus.iter().enumerate() {
-            match own.fit_in_focus(number, others.as_ref())? {
-                Ok(fitted) => {
-                    fits.push(fitted);
-                    used.push(channel);
-                }
-                Err(reason) => left_out.push(left_out_warning(channel, reason)),
-            }
-        }
-        if used.len() > with.len() {
-            found = defocused.combine(&fits)?;
-        }
-    }
+    let (fits, found) = own.fit_with_extensions(series)?;
     let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
-    let mut estimate = combined(scene, found, names(&used), each)?;
-    estimate.warnings.splice(0..0, left_out);
-    Ok(estimate)
-}
-
-/// Warning on a channel in focus whose images take no part.
-pub(super) fn left_out_warning(channel: &ChannelImages, reason: &str) -> String {
-    format!(
-        "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: {reason}",
-        channel.name.unwrap_or_default()
-    )
-}
-
-/// The channels that determine the signs of the wavefront by themselves, and those in focus; the
-/// first are all where none does.
-pub(super) fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
-    let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
-    if with.is_empty() { [without, Vec::new()] } else { [with, without] }
+    combined(scene, found, names(&all), each)
 }
 
 /// The channels of a scene, and how they are fitted.
@@ -172,32 +146,6 @@ impl<'a> Channels<'a> {
         Ok((fits, joint))
     }
 
-    /// Fit of a channel in focus near the estimate of the other channels, or the reason why it is
-    /// of no use.
-    ///
-    /// # Errors
-    /// Those of [`ModalTask::fit_near`].
-    fn fit_in_focus(
-        &self,
-        channel: usize,
-        others: Option<&CombinedModes>,
-    ) -> Result<std::result::Result<Fitted, &'static str>> {
-        let task = self.task(channel);
-        let Some(others) = others else { return Ok(Err("the other channels do not explain their images")) };
-        if !task.scene.estimate.fit_optics.is_empty() {
-            return Ok(Err("optical parameters are fitted to defocused images only"));
-        }
-        if self.policy.recipe(task.scene).weighting != Weighting::Noise {
-            return Ok(Err("without weights by the noise its information is not known"));
-        }
-        let fitted = self.named(channel, task.fit_near(others))?;
-        Ok(if fitted.is_explained() {
-            Ok(fitted)
-        } else {
-            Err("the estimate of the others does not explain its images")
-        })
-    }
-
     /// Looks for the causes of residuals, until one channel has a larger model that explains it:
     /// its number, and that model.
     fn explain(&self, fits: &mut [Fitted]) -> Result<Option<(usize, Selected)>> {
@@ -263,7 +211,7 @@ fn own_scene(scene: &Scene) -> Result<Scene> {
 }
 
 /// The estimate of all channels, from the joint one and those of each channel.
-fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<Estimate>) -> Result<Estimate> {
+pub(super) fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<Estimate>) -> Result<Estimate> {
     let fits: Vec<&ModalSummary> = each.iter().filter_map(Estimate::modal).collect();
     let ([own, ..], [first, ..]) = (&fits[..], &each[..]) else {
         return Err(Error::Internal("there is no modal estimate of a channel".into()));
@@ -317,8 +265,9 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
 
 fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<String> {
     let mut sentences: Vec<String> = Vec::new();
-    for (name, one) in names.iter().zip(each) {
-        sentences.extend(one.warnings.iter().map(|sentence| format!("channel {name}: {sentence}")));
+    for (number, one) in each.iter().enumerate() {
+        let about = names.get(number).map(|name| format!("channel {name}: ")).unwrap_or_default();
+        sentences.extend(one.warnings.iter().map(|sentence| format!("{about}{sentence}")));
     }
     if let Some(defocus) = found.defocus.filter(|defocus| !defocus.is_identifiable()) {
         sentences.push(format!(

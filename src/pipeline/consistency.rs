@@ -7,6 +7,7 @@ use super::images::{Images, Trust};
 use super::instrument;
 use crate::agreement::{Compared, Disagreement, GAIN, padded_counts};
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
+use crate::modal::Cube;
 use crate::scene::{Scene, Setting};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
@@ -29,6 +30,11 @@ pub(super) struct Electrons<'a> {
 impl Electrons<'_> {
     pub(super) fn len(&self) -> usize {
         self.images_e.dim().0
+    }
+
+    /// As a fit takes them.
+    pub(super) fn cube(&self) -> Cube<'_> {
+        Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e }
     }
 
     /// The sum of the images `which`, as one image: bad where one of them is, with the read noise

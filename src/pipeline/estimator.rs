@@ -8,7 +8,7 @@ use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
 use super::policy::Policy;
-use super::pupil_turns::TurnedImages;
+use super::divided_images::DividedImages;
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::{channels, full_phase};
 use crate::control::{Control, Stage};
@@ -119,9 +119,9 @@ impl Estimator {
             return Ok(estimate);
         }
         let truth = in_order[0].truth.as_ref();
-        if let Some(turned) = TurnedImages::of(&self.given, &in_order)? {
-            let found = self.variant(&turned.scene)?.estimate_with(&turned.images, parts)?;
-            let mut estimate = turned.in_given_order(found);
+        if let Some(divided) = DividedImages::of(&self.given, &in_order)? {
+            let found = self.variant(&divided.scene)?.estimate_with(&divided.images, parts)?;
+            let mut estimate = divided.in_given_order(found);
             compare_with_truth(&mut estimate, truth);
             return Ok(estimate);
         }
@@ -169,12 +169,12 @@ impl Estimator {
             let (name, own) = own_scenes[number];
             let consistent = check_size(images, own).and_then(|()| reconcile(images, own));
             let consistent = named(name, consistent)?;
-            let about = |word: &str, sentence: &String| match name {
-                Some(name) => format!("{word} {name}: {sentence}"),
-                None => sentence.clone(),
+            let about = |note: &String| match name {
+                Some(name) => format!("channel {name}: {note}"),
+                None => note.clone(),
             };
-            notes.extend(whole.notes.iter().map(|note| about("channel", note)));
-            remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| about("Channel", remark)));
+            notes.extend(whole.notes.iter().map(about));
+            remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| (name, remark.clone())));
             let scene = match consistent.scene {
                 _ if !consistent.is_changed => planned_scenes[number].1.clone(),
                 scene if scene.estimate.budget_nm.is_none() => scene,
@@ -187,6 +187,7 @@ impl Estimator {
             let cache = cache.for_scene(&self.scene, &scene);
             channels.push(ChannelImages { name, scene, images: consistent.images, cache });
         }
+        let mut remarks = once_where_all(remarks, channels.len());
         remarks.extend(choose_method(&mut channels)?);
         // One that lists its channels stays as it was given: what a file replaces is a value of its
         // channel.
@@ -196,6 +197,22 @@ impl Estimator {
         };
         Ok(EstimateInput { scene, channels, notes: shortfall.into_iter().chain(notes).collect(), remarks })
     }
+}
+
+/// Remarks on channels with their names; one that holds for all `channels` once, without a name.
+fn once_where_all(remarks: Vec<(Option<&str>, String)>, channels: usize) -> Vec<String> {
+    let holds_for_all = |sentence: &String| remarks.iter().filter(|(_, other)| other == sentence).count() == channels;
+    let mut sentences: Vec<String> = Vec::new();
+    for (name, sentence) in &remarks {
+        let sentence = match name {
+            Some(name) if !holds_for_all(sentence) => format!("Channel {name}: {sentence}"),
+            _ => sentence.clone(),
+        };
+        if !sentences.contains(&sentence) {
+            sentences.push(sentence);
+        }
+    }
+    sentences
 }
 
 /// Images in the size that is fitted, and a sentence where that is smaller.

@@ -1,7 +1,7 @@
 //! Maximum a posteriori (MAP) estimate: the wavefront behind each exposure of a sequence, and the
 //! static errors that all share.
 
-use super::channels::{ChannelImages, by_diversity, left_out_warning, names};
+use super::channels::{ChannelImages, names};
 use super::estimate::{Basis, Estimate, Figures, FullPhaseSummary, MethodResult, OpticalParameter, Run};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
@@ -10,6 +10,7 @@ use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{remarks, warnings};
 use crate::ao::{Lenslets, SlopeFormat, moved_reference, reference_slopes, sensor_pupil};
 use crate::control::{Control, Stage};
+use crate::modal::has_diversity;
 use crate::modal::{ImageReport, Status};
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange, RetrievalReport};
@@ -64,6 +65,13 @@ fn moved_reference_mas(scene: &Scene, given: Option<&Array1<f64>>) -> Result<Opt
     let named = moved_reference(scene, sensing, &format)?;
     let given = given.map(|row| format.expected_mas(row.view().insert_axis(Axis(0)))).transpose()?;
     Ok(named.or_else(|| given.map(|rows| rows.row(0).to_owned())))
+}
+
+/// The channels that determine the signs of the wavefront by themselves, and those in focus; the
+/// first are all where none does.
+fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
+    let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
+    if with.is_empty() { [without, Vec::new()] } else { [with, without] }
 }
 
 /// Estimates the static errors behind the exposures of all `channels` of `scene`, whose slopes are
@@ -125,7 +133,13 @@ pub(super) fn estimate(
     let excess: Vec<f64> = outcomes.iter().filter(|outcome| outcome.is_used).map(excess).collect();
     let is_misfit = last.reduced_chi2 < LEAST_EXPLAINED || upper_median(&excess) > explained - 1.0;
     let why = "a full-phase estimate reads defocused images";
-    let mut sentences: Vec<String> = in_focus.iter().map(|channel| left_out_warning(channel, why)).collect();
+    let left_out = |channel: &&ChannelImages| {
+        format!(
+            "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: {why}",
+            channel.name.unwrap_or_default()
+        )
+    };
+    let mut sentences: Vec<String> = in_focus.iter().map(left_out).collect();
     sentences.extend(ignored);
     sentences.extend(warnings::full_phase_warnings(&found, last, has_settled, is_misfit));
     if slopes_mas.is_some() && found.ao_knowledge < AoKnowledge::Telemetry {

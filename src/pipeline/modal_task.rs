@@ -7,7 +7,7 @@ use super::policy::Policy;
 use crate::Result;
 use crate::control::{Control, Stage};
 use crate::imaging::Chain;
-use crate::modal::{self, CombinedModes, Cube, FitSeries, ModalFit, ModalFitter, ModelCache, Recipe, Status};
+use crate::modal::{self, Cube, FitSeries, ModalFit, ModalFitter, ModelCache, Recipe, Status};
 use crate::scene::Scene;
 use std::time::Instant;
 
@@ -57,21 +57,6 @@ impl ModalTask<'_> {
         Ok(Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds })
     }
 
-    /// Fits images in focus near the estimate `others` of other channels.
-    ///
-    /// # Errors
-    /// Those of [`ModalFitter::estimate_near`].
-    pub(super) fn fit_near(&self, others: &CombinedModes) -> Result<Fitted> {
-        let started = Instant::now();
-        let fitter = modal::fitter_for(self.scene, self.policy.recipe(self.scene), self.cache, self.cube())?;
-        let mut chain = self.open(&fitter)?;
-        let model_seconds = started.elapsed().as_secs_f64();
-        let found = fitter.estimate_near(&mut chain, self.cube(), others, &self.control.silent())?;
-        self.check()?;
-        let scene = self.scene.adopting(fitter.scene())?;
-        Ok(Fitted { fit: (fitter, found), scene, selected: None, cause: None, changes: None, model_seconds })
-    }
-
     /// Fits the images again from `start_nm`, and keeps the fit that explains them better; whether
     /// that is the new one.
     ///
@@ -81,7 +66,7 @@ impl ModalTask<'_> {
         let (fitter, before) = &fitted.fit;
         let mut chain = self.open(fitter)?;
         let control = &self.control.silent();
-        let again = fitter.estimate_from(&mut chain, self.cube(), Some(start_nm), None, control)?;
+        let again = fitter.estimate_from(&mut chain, self.images.cube(), Some(start_nm), None, control)?;
         self.check()?;
         let (is_better, seconds) = (again.is_better_than(before), before.seconds + again.seconds);
         if is_better {
@@ -89,11 +74,6 @@ impl ModalTask<'_> {
         }
         fitted.fit.1.seconds = seconds;
         Ok(is_better)
-    }
-
-    fn cube(&self) -> Cube<'_> {
-        let images = self.images;
-        Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e }
     }
 
     fn check(&self) -> Result<()> {
@@ -114,7 +94,7 @@ impl ModalTask<'_> {
     pub(super) fn fit_by(&self, scene: &Scene, series: Option<&mut FitSeries>) -> Result<ModalFit> {
         let fitter = self.fitter(scene)?;
         let mut chain = self.begin(&fitter, self.images.len())?;
-        let found = fitter.estimate_from(&mut chain, self.cube(), None, series, self.control)?;
+        let found = fitter.estimate_from(&mut chain, self.images.cube(), None, series, self.control)?;
         self.check()?;
         Ok((fitter, found))
     }
@@ -127,13 +107,13 @@ impl ModalTask<'_> {
         self.control.enter(Stage::Preparing, 0);
         let fitter = self.fitter(self.scene)?;
         let mut chain = self.begin(&fitter, which.len())?;
-        fitter.fit_series(&mut chain, self.cube(), which, series, self.control)?;
+        fitter.fit_series(&mut chain, self.images.cube(), which, series, self.control)?;
         self.check()
     }
 
     /// The fitter of all images by `scene`.
     fn fitter(&self, scene: &Scene) -> Result<ModalFitter> {
-        modal::fitter_of(scene, self.policy.recipe(scene), self.cache, self.cube(), self.control)
+        modal::fitter_of(scene, self.policy.recipe(scene), self.cache, self.images.cube(), self.control)
     }
 
     /// The chain for fits of `count` images, which begin now.
@@ -146,7 +126,7 @@ impl ModalTask<'_> {
     /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene
     /// fits would not lower χ² enough in a first step.
     pub(super) fn fit_one(&self, scene: &Scene, image: usize) -> Result<Option<ModalFit>> {
-        let cube = self.cube();
+        let cube = self.images.cube();
         let only = ndarray::s![image..=image, .., ..];
         let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
         // A model that explains the image does so at its first minimum; restarts of the others

@@ -3,6 +3,7 @@
 use super::explain::is_mean_misfit;
 use super::image_changes::CHANGING;
 use super::images::counted;
+use super::outcome::ImageOutcome;
 use super::sequence::SequenceResult;
 use crate::modal::{self, DiversityProjection, ImageReport, Model, PistonInteger, RejectedPixels, Session, Status};
 use crate::scene::AoKnowledge;
@@ -36,6 +37,33 @@ const NAMED_MODES: usize = 6;
 /// Combinations of modes named one by one in a warning; the others are counted.
 const NAMED_COMBINATIONS: usize = 3;
 
+/// Warnings on images of one wavefront that were fitted together.
+pub(super) fn group_warnings(images: &[ImageOutcome]) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let of = |word: &str| images.iter().filter(|image| image.report.status.word() == word).collect::<Vec<_>>();
+    let misfits: Vec<f64> =
+        ["misfit", "wrong-minimum"].iter().flat_map(|word| of(word)).map(|image| image.report.reduced_chi2).collect();
+    if let Some(most) = misfits.iter().copied().reduce(f64::max) {
+        let least = misfits.iter().copied().fold(f64::INFINITY, f64::min);
+        sentences.push(format!(
+            "{} of {} are not explained within their noise (reduced χ² {least:.2} to {most:.2}): the modes do not span the wavefront, the scene \
+             differs from the instrument (plate scale, pixels, gain or read noise, the shapes of the mirror), or the images are of different \
+             wavefronts; error bars are scaled up by the root of χ² of all",
+            misfits.len(),
+            counted(images.len(), "image")
+        ));
+    }
+    for word in ["unusable", "not-converged"] {
+        let concerned = of(word);
+        sentences.extend(concerned.iter().take(NAMED_IMAGES).map(|image| image.message.clone()));
+        if concerned.len() > NAMED_IMAGES {
+            let more = counted(concerned.len() - NAMED_IMAGES, "more image");
+            sentences.push(format!("the same holds for {more} ({word}); see table IMAGES of the output"));
+        }
+    }
+    sentences
+}
+
 /// Warnings of a modal estimate.
 pub(super) fn modal_warnings(
     fitter: &modal::ModalFitter,
@@ -46,7 +74,7 @@ pub(super) fn modal_warnings(
     let model = fitter.model();
     let mut sentences: Vec<String> = found.device_failure.iter().cloned().collect();
     // Images in focus by themselves: the images of other channels determine what they do not.
-    let alone = !found.is_near_others();
+    let alone = !found.is_of_group();
     sentences.extend(diversity.warning(fitter.scene().image.wavelength_nm).filter(|_| alone));
     for optic in fitter.fitted_optics().iter().filter(|optic| !optic.is_identifiable()) {
         sentences.push(format!(
@@ -57,7 +85,10 @@ pub(super) fn modal_warnings(
             optic.value
         ));
     }
-    sentences.extend(image_warnings(found, changes));
+    // On the images of a group there is one of all.
+    if alone {
+        sentences.extend(image_warnings(found, changes));
+    }
     sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
     let unknown = found.degeneracy.null.iter().filter(|direction| alone && !fitter.is_global_motion(direction));

@@ -114,6 +114,9 @@ fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
     for keys in ALTERNATIVES.iter().filter(|keys| keys.iter().any(|key| table.contains_key(key))) {
         keys.iter().for_each(|key| drop(image.remove(key)));
     }
+    if forms::FOCUS.iter().any(|key| table.contains_key(key)) {
+        OF_DIVERSITY_FILE.iter().for_each(|key| drop(image.remove(key)));
+    }
     for (key, value) in table.iter().filter(|(key, _)| *key != NAME) {
         let mut value = value.clone();
         if let Some(value) = value.as_value_mut() {
@@ -160,27 +163,55 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
     }
 }
 
+/// What the images of a scene have of their own, a number for each: a key of `[image]` that is a
+/// list.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ImageList {
+    /// Turns of the pupil, degrees.
+    PupilTurns,
+    /// Maps of the diversity.
+    DiversityPlanes,
+}
+
+impl ImageList {
+    /// Its key in `[image]`.
+    fn key(self) -> &'static str {
+        match self {
+            Self::PupilTurns => "pupil_turns_deg",
+            Self::DiversityPlanes => "diversity_planes",
+        }
+    }
+
+    /// A list of one number.
+    fn of_one(self, number: f64) -> Array {
+        match self {
+            Self::PupilTurns => Array::from_iter([number]),
+            Self::DiversityPlanes => Array::from_iter([number as i64]),
+        }
+    }
+}
+
 /// Replaces each channel of the text of a scene, or the only way of imaging of one without
-/// channels, by a channel for each of its turns of the pupil: a name and degrees.
+/// channels, by a channel for each number of its list: a name and the number.
 ///
 /// # Errors
 /// [`Error::Internal`] for a scene with another number of channels.
-pub(super) fn set_turns(document: &mut DocumentMut, turns: &[Vec<(String, f64)>]) -> Result<()> {
-    let internal = |what: &str| Error::Internal(format!("turns of the pupil: {what}"));
+pub(super) fn divide(document: &mut DocumentMut, list_of: ImageList, parts: &[Vec<(String, f64)>]) -> Result<()> {
+    let internal = |what: &str| Error::Internal(format!("image.{}: {what}", list_of.key()));
     let image = document.get_mut("image").and_then(Item::as_table_like_mut).ok_or_else(|| internal("no [image]"))?;
     let given = match image.remove(LIST) {
         Some(list) => list.into_array_of_tables().map_err(|_| internal("no list of channels"))?.into_iter().collect(),
         None => vec![Table::new()],
     };
-    if given.len() != turns.len() {
+    if given.len() != parts.len() {
         return Err(internal("another number of channels"));
     }
     let mut list = ArrayOfTables::new();
-    for (table, turns) in given.iter().zip(turns) {
-        for (name, turn_deg) in turns {
+    for (table, parts) in given.iter().zip(parts) {
+        for (name, number) in parts {
             let mut own = table.clone();
             own.insert(NAME, Item::Value(Value::from(name)));
-            own.insert(TURNS, Item::Value(Value::from(Array::from_iter([*turn_deg]))));
+            own.insert(list_of.key(), Item::Value(Value::from(list_of.of_one(*number))));
             list.push(own);
         }
     }
@@ -188,8 +219,6 @@ pub(super) fn set_turns(document: &mut DocumentMut, turns: &[Vec<(String, f64)>]
     Ok(())
 }
 
-/// Key of the turns of the pupil.
-const TURNS: &str = "pupil_turns_deg";
 const SAMPLING: &str = forms::SAMPLING[0];
 /// Keys of which a scene may name one: a channel that names one of them replaces all.
 const ALTERNATIVES: [&[&str]; 5] = [
@@ -199,6 +228,9 @@ const ALTERNATIVES: [&[&str]; 5] = [
     &forms::SAMPLING,
     &forms::FOCAL,
 ];
+
+/// Keys that say how `diversity_file` is read.
+const OF_DIVERSITY_FILE: [&str; 2] = ["diversity_planes", "diversity_scale"];
 
 /// Sampling of a channel of another wavelength: that of `[image]` for pixels of the same angle.
 fn followed_sampling(image: &dyn TableLike, channel: &Table) -> Option<f64> {

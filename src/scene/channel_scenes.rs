@@ -1,6 +1,6 @@
 //! Scenes of the channels of a scene.
 
-use super::channel::{self, ChannelText};
+use super::channel::{self, ChannelText, ImageList};
 use super::table::Source;
 use super::{Channel, Scene};
 use crate::Result;
@@ -25,14 +25,14 @@ impl Scene {
     /// Most channels of a scene.
     pub(crate) const MAX_CHANNELS: usize = channel::MAX_CHANNELS;
 
-    /// This scene with a channel for each turn of the pupil, by name and degrees, in place of each
-    /// of its channels, or of its only way of imaging.
+    /// This scene with a channel for each number of a list that its images have, by name and
+    /// number, in place of each of its channels, or of its only way of imaging.
     ///
     /// # Errors
-    /// [`Error::Scene`] for names and turns that channels cannot have.
-    pub(crate) fn with_turns(&self, turns: &[Vec<(String, f64)>]) -> Result<Self> {
+    /// [`Error::Scene`] for names and numbers that channels cannot have.
+    pub(crate) fn divided(&self, list_of: ImageList, parts: &[Vec<(String, f64)>]) -> Result<Self> {
         let mut document = self.document()?;
-        channel::set_turns(&mut document, turns)?;
+        channel::divide(&mut document, list_of, parts)?;
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), &[])
     }
 

@@ -6,7 +6,7 @@ use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    AoKnowledge, Combine, DeviceChoice, Method, ModelChoice, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes,
+    AoKnowledge, Combine, DeviceChoice, Grouping, Method, ModelChoice, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes,
     Telemetry, Weighting,
 };
 use crate::Result;
@@ -108,6 +108,9 @@ section! {
         model: ModelChoice, ANY, default(ModelChoice::Auto);
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the recipes of Lamb et al.");
+        /// Images that are of one wavefront and are fitted together; "auto" takes all images where
+        /// one of several channels is in focus or has less than half a wave RMS of diversity.
+        group: Grouping, ANY, default(Grouping::Auto);
         /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront
         /// of each image and then the static errors, "auto" chooses: "full-phase" where the scene
         /// has an AO loop or turbulence and two images or more differ by more than noise, flux and
@@ -176,6 +179,7 @@ impl EstimateScene {
             ("budget_nm", self.budget_nm.is_some()),
             ("fit_optics", !self.fit_optics.is_empty()),
             ("combine", self.combine.is_some()),
+            ("group", self.group != Grouping::Auto),
         ];
         reader.refuse_set(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {

@@ -99,6 +99,8 @@ impl Optic {
     pub const ROTATION: Self = Self::named("rotation");
     /// Amplitude of the defocus.
     pub const DEFOCUS: Self = Self::named("defocus");
+    /// Amplitude of a diversity from a file.
+    pub const DIVERSITY: Self = Self::named("diversity");
     /// Side of a pixel's sensitive square.
     pub const PIXEL_FILL: Self = Self::named("pixel-fill");
     /// Diameter of the central obscuration.
@@ -309,6 +311,18 @@ static ROWS: &[Row] = &[
         parameters: &[Parameter {
             key: "image.diversity_focus_waves_rms",
             absence: |_, image| image.diversity_file.is_some().then_some("a diversity from a file"),
+            step: |_, _| 5e-3,
+            ..USUAL
+        }],
+    },
+    Row {
+        word: "diversity",
+        about: "amplitude of the diversity from a file",
+        check: None,
+        cause: None,
+        parameters: &[Parameter {
+            key: "image.diversity_scale",
+            absence: |_, image| image.diversity_file.is_none().then_some("a scene without image.diversity_file"),
             step: |_, _| 5e-3,
             ..USUAL
         }],

@@ -71,9 +71,14 @@ section! {
         /// place of the waves RMS; positive towards the telescope, where the image's axes are those
         /// of the pupil.
         diversity_stage_mm: Option<f64>, between(-1e4, 1e4), unset("given by diversity_focus_waves_rms");
-        /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over
-        /// pupil.grid_m, or as GRID_M or PUPLSCAL say.
+        /// FITS map of the diversity in place of a focus, or a cube of maps: nm, or the unit of its
+        /// card BUNIT; over pupil.grid_m, or as GRID_M or PUPLSCAL say.
         diversity_file: Option<PathBuf>, ANY, unset("a focus");
+        /// Maps of a cube diversity_file, counted from 0, one for each image in order or one for
+        /// all; -1 for an image without diversity, such as that of a mirror at rest.
+        diversity_planes: Option<Vec<i64>>, between(-1.0, 1e6), unset("the map of diversity_file");
+        /// Factor of the map of diversity_file.
+        diversity_scale: f64, between(-1e3, 1e3), default(1.0);
         /// Signal-to-noise ratio of the brightest pixel, which photon_noise or read_noise_e limits.
         /// Simulation only.
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
@@ -138,6 +143,16 @@ impl ImageScene {
         match self.pupil_turns_deg.as_deref() {
             None => Some(0.0),
             Some([turn_deg]) => Some(*turn_deg),
+            Some(_) => None,
+        }
+    }
+
+    /// The map of a cube of diversities that all images have: -1 for none; `None` where images have
+    /// maps of their own.
+    pub fn diversity_plane(&self) -> Option<i64> {
+        match self.diversity_planes.as_deref() {
+            None => Some(0),
+            Some([plane]) => Some(*plane),
             Some(_) => None,
         }
     }
@@ -216,6 +231,8 @@ impl Check for ImageScene {
         }
         if self.diversity_file.is_some() {
             self.diversity_focus_waves_rms = 0.0;
+        } else {
+            reader.refuse(&["diversity_planes", "diversity_scale"], "without image.diversity_file")?;
         }
         Ok(())
     }
@@ -241,9 +258,13 @@ impl Check for ImageScene {
             );
             return Err(reader.error("photon_noise", sentence));
         }
-        if self.pupil_turns_deg.as_ref().is_some_and(Vec::is_empty) {
-            let sentence = "image.pupil_turns_deg = [] is not accepted; one number, or one for each image, is needed";
-            return Err(reader.error("pupil_turns_deg", sentence));
+        let lists = [
+            ("pupil_turns_deg", self.pupil_turns_deg.as_ref().is_some_and(Vec::is_empty)),
+            ("diversity_planes", self.diversity_planes.as_ref().is_some_and(Vec::is_empty)),
+        ];
+        if let Some((key, _)) = lists.into_iter().find(|(_, is_empty)| *is_empty) {
+            let sentence = format!("image.{key} = [] is not accepted; one number, or one for each image, is needed");
+            return Err(reader.error(key, sentence));
         }
         let (pixels, exposure_s, interval_s) = (self.pixels, self.exposure_s, self.interval_s);
         for (key, value) in [("columns", self.columns), ("rows", self.rows)] {

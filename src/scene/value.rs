@@ -286,6 +286,21 @@ impl FromToml for Vec<f64> {
     }
 }
 
+impl FromToml for Vec<i64> {
+    fn accepted(range: &Range) -> String {
+        format!("a list of at most {LONGEST_LIST} integers, each{range}")
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        items(value, |item| item.as_integer().filter(|&i| range.holds(i as f64)))
+    }
+    fn to_toml(&self) -> String {
+        format!("{self:?}")
+    }
+    fn is_within(&self, range: &Range) -> bool {
+        self.iter().all(|&i| range.holds(i as f64))
+    }
+}
+
 impl<T: FromToml> FromToml for Option<T> {
     fn accepted(range: &Range) -> String {
         T::accepted(range)

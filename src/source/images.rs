@@ -73,31 +73,46 @@ fn simulate_channel(scene: &System, number: u64, change: &ChangeOfTruth) -> Resu
     let telescope = Telescope::new(scene)?;
     let seed = scene.seed();
     let truth = change(Truth::draw(scene, &telescope, &mut stream(seed, 0))?, scene, &telescope)?;
-    let turns_deg = match scene.image.pupil_turns_deg.as_deref() {
-        Some(turns_deg) if turns_deg.len() != 1 && turns_deg.len() != scene.image.count => {
-            return Err(Error::Scene(format!(
-                "{}: image.pupil_turns_deg has {} numbers where image.count = {}; one, or one for each image, is needed",
-                scene.name(),
-                turns_deg.len(),
-                scene.image.count
-            )));
-        }
-        Some(turns_deg @ [_, _, ..]) => turns_deg,
-        _ => &[],
+    let turns_deg = of_each(scene, "pupil_turns_deg", scene.image.pupil_turns_deg.as_deref())?;
+    let planes = of_each(scene, "diversity_planes", scene.image.diversity_planes.as_deref())?;
+    let of_image = |image: usize| {
+        scene.with(|sections| {
+            if let Some(turn_deg) = turns_deg.get(image) {
+                sections.image.pupil_turns_deg = Some(vec![*turn_deg]);
+            }
+            if let Some(plane) = planes.get(image) {
+                sections.image.diversity_planes = Some(vec![*plane]);
+            }
+        })
     };
-    let mut psf = psf_of(scene, &telescope, &truth)?;
+    let first = of_image(0)?;
+    let mut psf = psf_of(&first, &Telescope::new(&first)?, &truth)?;
     let (rows, columns) = psf.dim();
     let mut images_e = Array3::zeros((scene.image.count, rows, columns));
     let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
     for (image, mut out) in images_e.outer_iter_mut().enumerate() {
-        if let Some(turn_deg) = turns_deg.get(image) {
-            let own = scene.with(|sections| sections.image.pupil_turns_deg = Some(vec![*turn_deg]))?;
+        if image > 0 && (turns_deg.len() > image || planes.len() > image) {
+            let own = of_image(image)?;
             psf = psf_of(&own, &Telescope::new(&own)?, &truth)?;
         }
         let mut rng = stream(seed, number * CHANNEL_STREAMS + 1 + image as u64);
         out.zip_mut_with(&psf, |out, &h| *out = expose(&scene.image, h, flux_e, &mut rng));
     }
     Ok(SourceImages { images_e, flux_e, truth })
+}
+
+/// The values of a list of `[image]`, one for each image; none where all images have one value.
+fn of_each<'a, T>(scene: &System, key: &str, list: Option<&'a [T]>) -> Result<&'a [T]> {
+    match list {
+        Some(list) if list.len() != 1 && list.len() != scene.image.count => Err(Error::Scene(format!(
+            "{}: image.{key} has {} numbers where image.count = {}; one, or one for each image, is needed",
+            scene.name(),
+            list.len(),
+            scene.image.count
+        ))),
+        Some(list @ [_, _, ..]) => Ok(list),
+        _ => Ok(&[]),
+    }
 }
 
 /// The PSF of `scene` with these aberrations.

@@ -32,8 +32,20 @@ impl Diversity {
     pub fn new(scene: &System, telescope: &Telescope) -> Result<Self> {
         let pupil = &telescope.pupil;
         if let Some(file) = &scene.image.diversity_file {
-            let path = scene.resolve(file);
-            return Ok(Self::Map(OpdMap::read(&path)?.over(pupil).map_err(|error| Error::file(&path, error))?));
+            let (path, image) = (scene.resolve(file), &scene.image);
+            let Some(plane) = image.diversity_plane() else {
+                return Err(Error::Scene(format!(
+                    "{}: image.diversity_planes has one number for each image, and a model, its sessions and the watch have one diversity: a \
+                     list of one is needed there; 'cophase estimate' and pipeline::Estimator take one for each image",
+                    scene.name()
+                )));
+            };
+            let Ok(plane) = usize::try_from(plane) else {
+                return Ok(Self::Focus { factor_nm_m2: 0.0, offset_nm: 0.0 });
+            };
+            let mut map = OpdMap::read_plane(&path, plane, image.wavelength_nm)?;
+            map.values_nm *= image.diversity_scale;
+            return Ok(Self::Map(map.over(pupil).map_err(|error| Error::file(&path, error))?));
         }
         let [mean, square] = telescope.moments()?;
         let rms_nm = scene.image.diversity_focus_waves_rms * scene.image.wavelength_nm;

@@ -99,7 +99,7 @@ impl Telescope {
 
     fn read(&self, path: &Path, command_nm: f64) -> Result<MeasuredInfluence> {
         let mut file = FitsReader::open(path)?;
-        let scale = unit_nm(&mut file)?.map_or(1.0, |nm| nm / command_nm);
+        let scale = unit_nm(&mut file, None)?.map_or(1.0, |nm| nm / command_nm);
         let values: ArrayD<f64> = file.map_or_cube()? * scale;
         let columns = values.shape().last().copied().unwrap_or(0);
         let width_m = width_m(&mut file, columns)?;

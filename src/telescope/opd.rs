@@ -18,7 +18,8 @@ use crate::io::{Card, FitsReader};
 use crate::pupil::Pupil;
 use crate::scene::System;
 use crate::{Error, Result};
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
+use std::f64::consts::TAU;
 use std::path::Path;
 
 /// A map of the optical path difference on a grid of its own.
@@ -44,8 +45,34 @@ impl OpdMap {
     /// length, a width that is not positive, and cards of segments with a gap between them.
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = FitsReader::open(path)?;
-        let nm = unit_nm(&mut file)?;
-        let values_nm = file.map(None)? * nm.unwrap_or(1.0);
+        let (nm, values) = (unit_nm(&mut file, None)?, file.map(None)?);
+        Self::from_values(path, &mut file, values, nm)
+    }
+
+    /// As [`OpdMap::read`], map `plane` of a cube; also of a phase (rad, or waves) of light of
+    /// `wavelength_nm`.
+    ///
+    /// # Errors
+    /// As [`OpdMap::read`]; [`Error::File`] for a map that the cube does not have.
+    pub fn read_plane(path: &Path, plane: usize, wavelength_nm: f64) -> Result<Self> {
+        let mut file = FitsReader::open(path)?;
+        let nm = unit_nm(&mut file, Some(wavelength_nm))?;
+        let values = file.map_or_cube()?;
+        let count = if values.ndim() == 3 { values.len_of(Axis(0)) } else { 1 };
+        if plane >= count {
+            return Err(Error::file(
+                path,
+                format_args!("image.diversity_planes has {plane}, and the file has {count} maps, counted from 0"),
+            ));
+        }
+        let map = if values.ndim() == 3 { values.index_axis_move(Axis(0), plane) } else { values };
+        let map = map.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))?;
+        Self::from_values(path, &mut file, map, nm)
+    }
+
+    /// The map `values` of the first image of `file`, in units of `nm`, or without a unit.
+    fn from_values(path: &Path, file: &mut FitsReader, values: Array2<f64>, nm: Option<f64>) -> Result<Self> {
+        let values_nm = values * nm.unwrap_or(1.0);
         if let Some(likely) = likely_unit(values_nm.iter().copied()).filter(|_| nm.is_none()) {
             return Err(Error::file(
                 path,
@@ -59,8 +86,8 @@ impl OpdMap {
                 format_args!("the map has {columns}x{rows} samples: a square map is accepted"),
             ));
         }
-        let width_m = width_m(&mut file, columns)?;
-        Ok(Self { values_nm, width_m, segments_nm: segment_cards(&mut file)? })
+        let width_m = width_m(file, columns)?;
+        Ok(Self { values_nm, width_m, segments_nm: segment_cards(file)? })
     }
 
     /// The map over its own width, or over `width_m` where its file does not say it.
@@ -129,16 +156,17 @@ pub fn likely_unit(values_nm: impl Iterator<Item = f64>) -> Option<String> {
 pub fn unit_remark(scene: &System) -> Result<Option<String>> {
     let Some(file) = &scene.image.diversity_file else { return Ok(None) };
     let path = scene.resolve(file);
-    let is_stated = unit_nm(&mut FitsReader::open(&path)?)?.is_some();
+    let is_stated = unit_nm(&mut FitsReader::open(&path)?, Some(scene.image.wavelength_nm))?.is_some();
     let shown = path.display();
     Ok((!is_stated).then(|| format!("The diversity was read in nm, because {shown} has no card BUNIT.")))
 }
 
-/// Unit of the first image of `file`, nm; `None` without the card `BUNIT`.
+/// Unit of the first image of `file`, nm; `None` without the card `BUNIT`. A phase is one of light
+/// of `wavelength_nm`, where that is known.
 ///
 /// # Errors
 /// [`Error::File`] for a unit that is no length.
-pub(super) fn unit_nm(file: &mut FitsReader) -> Result<Option<f64>> {
+pub(super) fn unit_nm(file: &mut FitsReader, wavelength_nm: Option<f64>) -> Result<Option<f64>> {
     let unit = match file.image_card("BUNIT")? {
         Some(Card::Text(text)) => text.trim().to_lowercase(),
         _ => String::new(),
@@ -151,6 +179,9 @@ pub(super) fn unit_nm(file: &mut FitsReader) -> Result<Option<f64>> {
         "mm" | "millimeter" | "millimetre" => Ok(Some(1e6)),
         "angstrom" => Ok(Some(0.1)),
         "rad" | "radian" | "wave" => {
+            if let Some(wavelength_nm) = wavelength_nm {
+                return Ok(Some(if unit.starts_with('w') { wavelength_nm } else { wavelength_nm / TAU }));
+            }
             let sentence = format_args!(
                 "BUNIT = '{unit}': a length (nm, um, m, mm, Angstrom) is accepted for a wavefront, λ for a wave and λ/2π for a radian"
             );

@@ -114,6 +114,11 @@ fn expected(chi2: &ReducedChi2, deviations: f64) -> f64 {
     1.0 + chi2.excess(MODEL_ERROR) + deviations * chi2.scatter
 }
 
+/// How far χ² is above what the band-limited model explains, and its standard deviation.
+pub(in crate::modal) fn suspicion(chi2: &ReducedChi2) -> (f64, f64) {
+    (chi2.value - expected(chi2, 0.0), chi2.scatter)
+}
+
 /// The report on one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageReport {
@@ -251,7 +256,7 @@ pub(in crate::modal) fn assess(
     if minimum.is_unconfirmed {
         explained_chi2[1] = explained_chi2[1].min(expected_chi2);
     }
-    let parameters = model.optics.modes() + nuisances(&prepared.exposure);
+    let parameters = model.optics.modes().div_ceil(minimum.images) + nuisances(&prepared.exposure);
     let snr = minimum.chi2.square_snr.sqrt();
     let least_snr = (FAINT * parameters as f64).sqrt();
     let status = match minimum.reason {

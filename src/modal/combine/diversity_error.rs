@@ -28,6 +28,25 @@ pub(crate) fn has_diversity(image: &ImageScene) -> bool {
     image.diversity_file.is_some() || image.diversity_focus_waves_rms.abs() >= MIN_WAVES
 }
 
+/// Defocus below which images are fitted together, waves RMS: one by one they may end in wrong
+/// minima.
+const WEAK_WAVES: f64 = 0.5;
+
+/// Whether the diversity of `scene` is too small to fit its images alone.
+///
+/// # Errors
+/// Those of building the telescope; [`Error::File`] for a map that cannot be read.
+pub(crate) fn is_weak(scene: &System) -> Result<bool> {
+    if scene.image.diversity_file.is_none() {
+        return Ok(scene.image.diversity_focus_waves_rms.abs() < WEAK_WAVES);
+    }
+    let telescope = Telescope::new(scene)?;
+    let (pupil, diversity) = (&telescope.pupil, Diversity::new(scene, &telescope)?);
+    let at = |(y, x): (usize, usize)| diversity.at(pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+    let map = Array2::from_shape_fn(pupil.amplitude.dim(), at);
+    Ok(pupil.rms(map.view())? < WEAK_WAVES * scene.image.wavelength_nm)
+}
+
 /// Eigenvalues of the modes' Gram matrix below this fraction of the largest are rounding.
 const NULL_FLOOR: f64 = 1e-10;
 

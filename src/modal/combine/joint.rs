@@ -16,9 +16,6 @@
 //! names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one
 //! does not.
 //!
-//! Of a channel in focus ĉ_i is not known, but Λ_i and Λ_i (ĉ_i − c_i) about a point c_i: see
-//! `in_focus.rs`.
-//!
 //! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the
 //! channels are of one wavefront by one model: an image that is flipped, or of another wavelength
 //! than the scene says, disagrees with the others.
@@ -73,12 +70,10 @@ pub(crate) struct JointEstimate {
 
 /// Normal likelihood of the modes, from one channel.
 struct Likelihood {
-    /// ĉ, nm; of a channel in focus a point near it.
+    /// ĉ, nm.
     coefficients_nm: Array1<f64>,
     /// Λ, per nm².
     information: Array2<f64>,
-    /// Λ (ĉ − coefficients), per nm, of a channel in focus; none where that is 0.
-    gradient: Option<Array1<f64>>,
     /// p, nm.
     diversity_nm: Array1<f64>,
 }
@@ -105,8 +100,7 @@ fn resolve(
     Ok(integers::resolve(&mut colours, &covariance_nm2, pistons, scene.modes.piston_range_nm))
 }
 
-/// Combines the estimates of the channels of `scene`, which have the same modes; those of channels
-/// in focus are the last.
+/// Combines the estimates of the channels of `scene`, which have the same modes.
 ///
 /// # Errors
 /// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do
@@ -132,18 +126,14 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
     if is_unknown {
         check_spanned(channels)?;
     }
-    // Channels in focus have the whole wavelengths of the others, near whose estimate they are.
-    let defocused = likelihoods.iter().filter(|channel| channel.gradient.is_none()).count();
-    let wavelengths_nm = channels[..defocused].iter().map(|fit| fit.0.model.optics.parts().wavelength_nm);
-    let wavelengths_nm: Vec<f64> = wavelengths_nm.collect();
+    let wavelengths_nm: Vec<f64> = channels.iter().map(|fit| fit.0.model.optics.parts().wavelength_nm).collect();
     let mut integers = Vec::new();
     if integers::are_determined(&wavelengths_nm) {
-        let likelihoods = &mut likelihoods[..defocused];
-        integers = resolve(scene, likelihoods, &wavelengths_nm, model.pistons(), 1.0)?;
-        let (chi2, _) = Normal::new(likelihoods, false, 0.0)?.disagreement(likelihoods);
+        integers = resolve(scene, &mut likelihoods, &wavelengths_nm, model.pistons(), 1.0)?;
+        let (chi2, _) = Normal::new(&likelihoods, false, 0.0)?.disagreement(&likelihoods);
         if chi2 > 1.0 {
             // The channels are less precise than their noise, and integers less certain.
-            let again = resolve(scene, likelihoods, &wavelengths_nm, model.pistons(), chi2)?;
+            let again = resolve(scene, &mut likelihoods, &wavelengths_nm, model.pistons(), chi2)?;
             integers = again.into_iter().zip(integers).map(|(new, old)| new.following(&old)).collect();
         }
     }
@@ -219,12 +209,6 @@ pub(crate) fn combine_estimates(scene: &System, channels: &[(&ModalFitter, Combi
 
 /// Likelihood of the channel `number`; its pistons within half a wavelength of the first channel's.
 fn likelihood_of((fitter, found): ChannelFit, number: usize, (first, reference): ChannelFit) -> Result<Likelihood> {
-    if let Some(near) = found.near.clone() {
-        let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
-        let (coefficients_nm, gradient) = (near.coefficients_nm, Some(near.gradient));
-        let information = fitter.motions.without_information_on(&near.information);
-        return Ok(Likelihood { coefficients_nm, information, gradient, diversity_nm });
-    }
     let mut likelihood = found.likelihood().clone();
     for shared in
         fitter.shared_errors().iter().filter(|shared| shared.name != crate::modal::combine::diversity_error::NAME)
@@ -257,7 +241,7 @@ fn normal_likelihood(
         information = without(information, &spanned_tip_and_tilt(model)?);
     }
     let coefficients_nm = Array1::from(likelihood.coefficients_nm);
-    Ok(Likelihood { coefficients_nm, information, gradient: None, diversity_nm })
+    Ok(Likelihood { coefficients_nm, information, diversity_nm })
 }
 
 /// Refuses an unknown amplitude of diversities that are not combinations of the modes.
@@ -325,9 +309,6 @@ impl Normal {
             let weighed = design.dot(&channel.information);
             matrix += &weighed.dot(&design.t());
             right += &weighed.dot(&channel.coefficients_nm);
-            if let Some(gradient) = &channel.gradient {
-                right += &design.dot(gradient);
-            }
         }
         if has_amplitude {
             matrix[[modes, modes]] += prior;
@@ -367,12 +348,6 @@ impl Normal {
             let Ok(design) = design(channel, self.has_amplitude) else { continue };
             let off = &channel.coefficients_nm - &design.t().dot(&self.solution);
             chi2 += off.dot(&channel.information.dot(&off));
-            if let Some(gradient) = &channel.gradient {
-                // The square of off + Λ⁺ g.
-                let floor = null_floor(gradient.len(), gradient.len());
-                let Ok(covariance) = pseudo_inverse(&channel.information, floor) else { continue };
-                chi2 += 2.0 * off.dot(gradient) + gradient.dot(&covariance.dot(gradient));
-            }
             freedom += rank(&channel.information);
         }
         if let Some((delta, _)) = self.amplitude().filter(|_| self.prior > 0.0) {

@@ -13,6 +13,8 @@ pub(crate) struct Minimum {
     pub(crate) reason: StopReason,
     /// χ² per degree of freedom under the variances of the fitted model.
     pub(crate) chi2: ReducedChi2,
+    /// Number of images that share the modes: 1 but in a fit of several together.
+    pub(crate) images: usize,
     /// Whether χ² is larger than expected, and every restart ended in another minimum: this one is
     /// probably wrong, too.
     pub(crate) is_unconfirmed: bool,
@@ -33,6 +35,7 @@ impl Minimum {
             evaluations: 0,
             reason: StopReason::Unfinished,
             chi2: ReducedChi2::NONE,
+            images: 1,
             is_unconfirmed: false,
         }
     }

@@ -36,7 +36,7 @@ const SAME_MINIMUM: f64 = 1e-3;
 /// Restarts that end in the minimum of a fit before it is taken for the best one. With pistons of
 /// 500 nm RMS at a peak S/N of 30, one such restart and restarts from five deviations of χ² on
 /// leave 36 of 40 draws in the right minimum; two, and restarts from three deviations on, 38.
-const CONFIRMING: usize = 2;
+pub(in crate::modal) const CONFIRMING: usize = 2;
 
 impl ModalFitter {
     /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier

@@ -27,14 +27,14 @@ const REWEIGHTINGS: usize = 8;
 const DECREMENT: f64 = 1e-5;
 /// The same for the fit with the first weights, those of the data's own noise: one σ along one of a
 /// hundred directions. Further steps are better made with the weights of the model.
-const APPROACH: f64 = 1.0;
+pub(in crate::modal) const APPROACH: f64 = 1.0;
 /// New weights move the minimum by at most a tenth of the distance since the last ones (where the
 /// model misfits; by far less where it is right): they are not renewed where that is less than the
 /// step tolerance.
-const REWEIGHTING_STEPS: f64 = 10.0;
+pub(in crate::modal) const REWEIGHTING_STEPS: f64 = 10.0;
 /// The fit with the first weights also stops where the next step is this many tolerances: less than
 /// [`REWEIGHTING_STEPS`], so that the remaining steps rarely need another renewal.
-const APPROACH_STEPS: f64 = 5.0;
+pub(in crate::modal) const APPROACH_STEPS: f64 = 5.0;
 /// The step tolerance to which [`DECREMENT`] belongs.
 const DECREMENT_STEP_NM: f64 = 1e-3;
 /// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which

@@ -4,12 +4,13 @@ use super::identity::identity;
 use super::{FittedPart, Part, PartFits};
 use crate::control::Stage;
 use crate::modal::FitSeries;
-use crate::pipeline::channels::{ChannelImages, Channels, by_diversity};
+use crate::pipeline::channels::{ChannelImages, Channels};
+use crate::pipeline::group::is_group;
 use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{EstimateInput, Estimator, acknowledged};
 use crate::pipeline::images::Images;
-use crate::pipeline::pupil_turns::TurnedImages;
+use crate::pipeline::divided_images::DividedImages;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
@@ -52,8 +53,8 @@ impl Estimator {
         if let Some((scene, _)) = scene_of_cut_out(&self.given, &in_order)? {
             return self.variant(&scene)?.fit_part(images, part, earlier);
         }
-        if let Some(turned) = TurnedImages::of(&self.given, &in_order)? {
-            return self.variant(&turned.scene)?.fit_part(&turned.images, part, earlier);
+        if let Some(divided) = DividedImages::of(&self.given, &in_order)? {
+            return self.variant(&divided.scene)?.fit_part(&divided.images, part, earlier);
         }
         let found = self.fits_of(&in_order, part, earlier);
         self.control.enter(Stage::Idle, 0);
@@ -65,10 +66,16 @@ impl Estimator {
         let EstimateInput { scene, channels, .. } = self.ready(images, &cut)?;
         let identity = self.identity(&scene, &channels)?;
         let images = channels.iter().map(|channel| channel.images.len()).sum();
-        let [with, _] = by_diversity(&channels);
-        let channels = Channels::new(&scene, &self.policy, &self.control, &with)?;
+        if is_group(&scene, &self.policy, &channels)? {
+            return Err(Error::Scene(format!(
+                "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
+                scene.name()
+            )));
+        }
+        let all: Vec<&ChannelImages> = channels.iter().collect();
+        let channels = Channels::new(&scene, &self.policy, &self.control, &all)?;
         let (mut earlier, mut fits) = (PartFits::of(identity, earlier), BTreeMap::new());
-        for channel in 0..with.len() {
+        for channel in 0..all.len() {
             let task = channels.task(channel);
             let which = part.items(task.images.len());
             let mut series = earlier.take(channel, which.iter().copied());
@@ -78,7 +85,7 @@ impl Estimator {
         Ok(FittedPart { part, images, command: Vec::new(), identity, fits })
     }
 
-    /// The series of `parts` for the fits of those `channels` that are not left for the end.
+    /// The series of `parts` for the fits of the `channels`.
     ///
     /// # Errors
     /// [`Error::Value`] where the parts are of another estimate.
@@ -94,8 +101,7 @@ impl Estimator {
                 "the parts are of another estimate: the images or the scene have changed since they were made".into(),
             ));
         }
-        let [with, _] = by_diversity(channels);
-        let series = with.iter().enumerate().map(|(number, channel)| parts.take(number, 0..channel.images.len()));
+        let series = channels.iter().enumerate().map(|(number, channel)| parts.take(number, 0..channel.images.len()));
         parts.series = series.collect();
         Ok(Some(&mut parts.series))
     }

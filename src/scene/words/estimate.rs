@@ -34,6 +34,20 @@ words! {
 }
 
 words! {
+    /// Which images are fitted together.
+    #[derive(Copy)]
+    Grouping {
+        /// All images where one of several channels is in focus or has less than half a wave RMS of
+        /// diversity, and each image alone otherwise.
+        Auto = "auto",
+        /// Each image alone.
+        Each = "each",
+        /// All images of all channels.
+        All = "all",
+    }
+}
+
+words! {
     /// Weight of each pixel in a fit.
     #[derive(Copy)]
     Weighting {

@@ -2,7 +2,7 @@
 //! are done drop out.
 
 use crate::imaging::{Chain, Evaluation, Exposure};
-use crate::modal::prepare::Preparer;
+use crate::modal::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use crate::modal::prepare::rejection::weigh_dead;
 use crate::modal::solve::engine::cpu::CpuEngine;
 use crate::modal::solve::engine::task::{
@@ -175,6 +175,14 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
     fn failure(&self) -> Option<&str> {
         self.chain.borrow().failure()
     }
+}
+
+/// Prepares `frames`; those that can be used are left as not begun.
+pub(in crate::modal) fn prepare_frames(task: &FitTask, frames: &[Frame], images: &mut [ImageFit]) {
+    let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
+        preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
+    };
+    prepare_all(task, &prepare, images);
 }
 
 /// Prepares all frames; those that can be used are left as not begun.

@@ -11,6 +11,6 @@ mod several;
 mod task;
 
 pub(in crate::modal) use cpu::CpuEngine;
-pub(in crate::modal) use device::DeviceEngine;
+pub(in crate::modal) use device::{DeviceEngine, prepare_frames};
 pub(in crate::modal) use dispatch::fit;
 pub(in crate::modal) use task::{Engine, FitState, FitTask, ImageFit};

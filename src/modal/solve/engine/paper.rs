@@ -67,5 +67,5 @@ fn minimum(
     let psf = task.reference.psf(ArrayView1::from(&coefficients_nm));
     let (flux_e, background_e) = photometry(exposure, &psf);
     let chi2 = ReducedChi2::new(&psf, (flux_e, background_e), exposure, noise, modes);
-    Ok(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, chi2, is_unconfirmed: false })
+    Ok(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, chi2, images: 1, is_unconfirmed: false })
 }

@@ -1,9 +1,9 @@
-//! Pupils that turn on the detector: images with one turn are those of a channel, by whose model
-//! the pupil is turned.
+//! Images of one camera that differ in their optics: those with one turn of the pupil on the
+//! detector, or with one map of the diversity, are those of a channel.
 
 use super::estimate::{Estimate, MethodResult, ModalSummary};
 use super::images::{Images, Trust, counted};
-use crate::scene::Scene;
+use crate::scene::{ImageList, ImageScene, Scene};
 use crate::{Error, Result};
 use ndarray::Axis;
 
@@ -13,9 +13,9 @@ const KEY: &str = "image.pupil_turns_deg";
 /// 11 m is 2 mm off, where a degree costs 11 nm.
 const RESOLUTION_DEG: f64 = 0.05;
 
-/// Images whose pupils are turned by different angles, as channels.
-pub(super) struct TurnedImages {
-    /// The scene, with a channel for each turn.
+/// Images with optics of their own, as channels.
+pub(super) struct DividedImages {
+    /// The scene, with a channel for each turn or map.
     pub(super) scene: Scene,
     /// The scene as it was given, with the turns that a file has.
     given: Scene,
@@ -26,14 +26,72 @@ pub(super) struct TurnedImages {
     remarks: Vec<String>,
 }
 
-impl TurnedImages {
-    /// The `images` of the channels of `given` as channels of one turn of the pupil each; `None`
-    /// where the scene has one turn, or none.
+impl DividedImages {
+    /// The `images` of the channels of `given` as channels of one turn of the pupil, or one map of
+    /// the diversity, each; `None` where the scene has one of both.
     ///
     /// # Errors
-    /// [`Error::Scene`] for another number of turns than of images; [`Error::Image`] for turns in
-    /// the file that contradict the scene's.
+    /// [`Error::Scene`] for another number of turns or maps than of images, and for more maps than
+    /// channels; [`Error::Image`] for turns in the file that contradict the scene's.
     pub(super) fn of(given: &Scene, images: &[&Images]) -> Result<Option<Self>> {
+        match Self::by_plane(given, images)? {
+            None => Self::by_turn(given, images),
+            divided => Ok(divided),
+        }
+    }
+
+    /// Those whose channels have a map of the diversity each.
+    fn by_plane(given: &Scene, images: &[&Images]) -> Result<Option<Self>> {
+        let own = given.each_channel();
+        if own.iter().all(|(_, scene)| scene.image.diversity_plane().is_some()) {
+            return Ok(None);
+        }
+        let (mut channels, mut parts, mut order, mut begin) = (Vec::new(), Vec::new(), Vec::new(), 0);
+        for ((name, scene), images) in own.iter().zip(images) {
+            let planes = match scene.image.diversity_planes.as_deref().unwrap_or(&[0]) {
+                [one] => vec![*one; images.len()],
+                each if each.len() == images.len() => each.to_vec(),
+                each => {
+                    return Err(Error::Scene(format!(
+                        "{}: image.diversity_planes has {} numbers for {}; one, or one for each image, is needed",
+                        scene.name(),
+                        each.len(),
+                        counted(images.len(), "image")
+                    )));
+                }
+            };
+            let name = name.map(|name| format!("{name:.24}, ")).unwrap_or_default();
+            let mut maps: Vec<(i64, Vec<usize>)> = Vec::new();
+            for (image, plane) in planes.into_iter().enumerate() {
+                match maps.iter_mut().find(|(known, _)| *known == plane) {
+                    Some((_, which)) => which.push(image),
+                    None => maps.push((plane, vec![image])),
+                }
+            }
+            let mut each = Vec::new();
+            for (plane, which) in maps {
+                let name = if plane < 0 { format!("{name}no map") } else { format!("{name}map {plane}") };
+                parts.push(part(images, &name, &which, |image| image.diversity_planes = Some(vec![plane]))?);
+                order.extend(which.iter().map(|image| begin + image));
+                each.push((name, plane as f64));
+            }
+            channels.push(each);
+            begin += images.len();
+        }
+        if parts.len() > Scene::MAX_CHANNELS {
+            return Err(Error::Scene(format!(
+                "{}: image.diversity_planes names {} maps; at most {} are accepted",
+                given.name(),
+                parts.len(),
+                Scene::MAX_CHANNELS
+            )));
+        }
+        let scene = given.divided(ImageList::DiversityPlanes, &channels)?;
+        Ok(Some(Self { scene, given: given.clone(), images: parts, order, remarks: Vec::new() }))
+    }
+
+    /// Those whose channels have a turn of the pupil each.
+    fn by_turn(given: &Scene, images: &[&Images]) -> Result<Option<Self>> {
         let own = given.each_channel();
         let turns_deg = own.iter().zip(images).map(|((_, scene), images)| turns_of(scene, images));
         let turns_deg = turns_deg.collect::<Result<Vec<_>>>()?;
@@ -67,15 +125,7 @@ impl TurnedImages {
             let mut each = Vec::new();
             for Group { turn_deg, images: which } in groups {
                 let name = format!("{name}turn {turn_deg:+.3}");
-                let scene = images
-                    .scene
-                    .as_ref()
-                    .map(|scene| scene.changed(|sections| sections.image.pupil_turns_deg = Some(vec![turn_deg])));
-                parts.push(Images {
-                    channel: Some(name.clone()),
-                    scene: scene.transpose()?,
-                    ..images.selected(&which)
-                });
+                parts.push(part(images, &name, &which, |image| image.pupil_turns_deg = Some(vec![turn_deg]))?);
                 order.extend(which.iter().map(|image| begin + image));
                 each.push((name, turn_deg));
             }
@@ -84,7 +134,7 @@ impl TurnedImages {
         }
         let turns = counted(channels.iter().map(Vec::len).sum(), "turn");
         remarks.push(format!("{} were fitted with {turns} of the pupil.", counted(count, "image")));
-        let scene = given.with_turns(&channels)?;
+        let scene = given.divided(ImageList::PupilTurns, &channels)?;
         Ok(Some(Self { scene, given: with_turns, images: parts, order, remarks }))
     }
 
@@ -107,6 +157,13 @@ impl TurnedImages {
         let remarks = self.remarks.into_iter().chain(estimate.remarks).collect();
         Estimate { images, remarks, scene: self.given, ..estimate }
     }
+}
+
+/// The images `which` of `images` as those of the channel `name`; `change` makes the file's own
+/// scene, where it has one, that of the channel.
+fn part(images: &Images, name: &str, which: &[usize], change: impl Fn(&mut ImageScene)) -> Result<Images> {
+    let scene = images.scene.as_ref().map(|scene| scene.changed(|sections| change(&mut sections.image)));
+    Ok(Images { channel: Some(name.to_owned()), scene: scene.transpose()?, ..images.selected(which) })
 }
 
 /// Turns of the pupil in `images`, degrees: one, or one for each; `None` where neither scene nor

@@ -1,0 +1,220 @@
+//! Groups: images of one wavefront that are fitted together, each with a tip, a tilt, a flux and a
+//! background of its own.
+//!
+//! An image in focus does not determine the signs of even aberrations, and its objective has many
+//! minima. Several with known differences (focus, shapes of a mirror) together determine all:
+//!
+//! ```text
+//! J(c, α, t) = Σ_i J_i(c + T t_i; (1 + α) d_i)     T: tip and tilt; d_i: the diversity of image i
+//! ```
+//!
+//! α, the relative error of the amplitude of all diversities, is unknown where
+//! `estimate.fit_optics` says so; its sign is then unknown, too, and both are tried.
+//!
+//! | File | What is in it |
+//! |---|---|
+//! | `unknowns` | the unknowns of a group, and those of each of its images |
+//! | `member` | an image of a group with its model |
+//! | `fit` | the fit from one start |
+//! | `starts` | fits from several starts, and which minima there are |
+//! | `consistency` | whether the images are of one wavefront |
+
+mod consistency;
+mod fit;
+mod member;
+mod starts;
+mod unknowns;
+
+use crate::control::{Control, Stage};
+use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::joint::JointEstimate;
+use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::combine::{ModalEstimate, combine, with_prior};
+use crate::modal::estimate::image_fits::FittedCube;
+use crate::modal::fit_optics::fitted_optic::FittedOptic;
+use crate::modal::fitter::ModalFitter;
+use crate::modal::group::consistency::{Consistency, consistency};
+use crate::modal::group::fit::{Group, Trial};
+use crate::modal::group::starts::fit_from_all;
+use crate::modal::prepare::cube::Cube;
+use crate::modal::solve::engine::ImageFit;
+use crate::scene::{Optic, System};
+use crate::{Error, Result};
+use ndarray::{Array1, s};
+use std::time::Instant;
+
+pub(crate) use starts::Minima;
+
+/// The images of one channel in a group, and the fitter of its scene.
+pub(crate) struct GroupChannel<'a> {
+    pub(crate) fitter: ModalFitter,
+    pub(crate) cube: Cube<'a>,
+}
+
+/// Estimate from the images of a group.
+pub(crate) struct GroupEstimate {
+    /// The modes that all images share.
+    pub(crate) joint: JointEstimate,
+    /// The images of each channel at the minimum of all, with the fitter that has the fitted
+    /// amplitude of its diversity.
+    pub(crate) channels: Vec<(ModalFitter, ModalEstimate)>,
+    /// The minima that were found.
+    pub(crate) minima: Minima,
+    /// Channel and number of the image that differs most from the wavefront of all, and the reduced
+    /// χ² of its difference; `None` for fewer than three images.
+    pub(crate) most_different: Option<([usize; 2], f64)>,
+}
+
+/// The word of `estimate.fit_optics` that the amplitude of the diversities of `scene` is fitted by;
+/// `None` where it is known.
+fn fitted_amplitude(scene: &System) -> Option<Optic> {
+    let words = &scene.estimate.fit_optics;
+    [Optic::DEFOCUS, Optic::DIVERSITY].into_iter().find(|optic| words.contains(optic))
+}
+
+/// Fits the images of all `channels` of `scene` together.
+///
+/// # Errors
+/// [`Error::Image`] where no image can be used, [`Error::Shape`] for images of another size than
+/// their scene's, [`Error::Scene`] for channels with other modes, [`Error::Interrupted`].
+pub(crate) fn estimate_group(scene: &System, channels: Vec<GroupChannel>, control: &Control) -> Result<GroupEstimate> {
+    let started = Instant::now();
+    check_modes(&channels)?;
+    let amplitude = fitted_amplitude(scene);
+    let mut fits = channels.iter().map(|channel| channel.fitter.prepared(&channel.cube)).collect::<Result<Vec<_>>>()?;
+    let images = fits.iter().map(Vec::len).sum();
+    control.enter(Stage::Fitting, images);
+    let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
+    let mut group = Group::new(&own, &fits, amplitude.is_some())?;
+    let (best, minima) = fit_from_all(&mut group, control)?;
+    control.enter(Stage::Combining, 0);
+    let normal = Normal::new(&mut group, &best)?;
+    group.write(&best, &mut fits);
+    let factor = 1.0 + best.amplitude(&group);
+    let fitters = channels.iter().map(|channel| match amplitude {
+        Some(_) => channel.fitter.with_diversity_times(factor),
+        None => Ok(channel.fitter.clone()),
+    });
+    let fitters = fitters.collect::<Result<Vec<_>>>()?;
+    let joint = normal.estimate(&mut group, &best, &fitters, amplitude)?;
+    let differences = group.members.iter().map(|member| member.place).zip(normal.consistency.of_each);
+    let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| best.minima.len() > 2);
+    let mut estimates = Vec::new();
+    for (fitter, fits) in fitters.into_iter().zip(fits) {
+        let mut own = combine(&fitter, FittedCube::from_fits(fits))?;
+        (own.is_of_group, own.device) = (true, "cpu".into());
+        estimates.push((fitter, own));
+    }
+    if let Some((_, first)) = estimates.first_mut() {
+        first.seconds = started.elapsed().as_secs_f64();
+    }
+    Ok(GroupEstimate { joint, channels: estimates, minima, most_different })
+}
+
+/// Refuses channels that do not have the same modes.
+fn check_modes(channels: &[GroupChannel]) -> Result<()> {
+    let names = |channel: &GroupChannel| channel.fitter.model.basis.names().to_vec();
+    let Some(first) = channels.first() else { return Err(Error::Internal("a group without channels".into())) };
+    match channels.iter().find(|other| names(other) != names(first)) {
+        None => Ok(()),
+        Some(other) => Err(Error::Scene(format!(
+            "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
+            other.fitter.scene.name(),
+            other.fitter.model.basis.len(),
+            first.fitter.scene.name(),
+            first.fitter.model.basis.len()
+        ))),
+    }
+}
+
+impl ModalFitter {
+    /// This fitter with `factor` times the diversity.
+    fn with_diversity_times(&self, factor: f64) -> Result<Self> {
+        let scene = self.scene.with(|sections| {
+            sections.image.diversity_focus_waves_rms *= factor;
+            sections.image.diversity_scale *= factor;
+        })?;
+        let model = self.model.with_diversity_times(factor)?;
+        Ok(Self { scene_basis: self.scene_basis.clone(), ..Self::from_model(&scene, self.recipe.clone(), model)? })
+    }
+
+    /// The images of `cube`, prepared for a fit.
+    fn prepared(&self, cube: &Cube) -> Result<Vec<ImageFit>> {
+        let frames = self.frames(cube)?;
+        let control = Control::default();
+        let mut fits = vec![ImageFit::new(&self.model.preparation, self.model.optics.modes()); frames.len()];
+        crate::modal::solve::engine::prepare_frames(&self.task(&control), &frames, &mut fits);
+        Ok(fits)
+    }
+}
+
+/// Normal equations of a group at its minimum.
+struct Normal {
+    /// Covariance of the unknowns from the noise.
+    covariance: ndarray::Array2<f64>,
+    consistency: Consistency,
+    /// χ² of the group per degree of freedom, 1 at the least.
+    scale: f64,
+}
+
+impl Normal {
+    fn new(group: &mut Group, best: &Trial) -> Result<Self> {
+        let information = group.information(&best.point)?;
+        let pixels = group.pixels();
+        let covariance = pseudo_inverse(&information, null_floor(information.nrows(), pixels))?;
+        let scale = best.reduced_chi2().max(1.0);
+        let consistency = consistency(group, best, scale)?;
+        Ok(Self { covariance, consistency, scale })
+    }
+
+    fn estimate(
+        &self,
+        group: &mut Group,
+        best: &Trial,
+        fitters: &[ModalFitter],
+        amplitude: Option<Optic>,
+    ) -> Result<JointEstimate> {
+        let first = &fitters[0];
+        let modes = first.model.optics.modes();
+        let inflation = self.scale * self.consistency.of_all.0.max(1.0);
+        let mut coefficients_nm = best.point[..modes].to_vec();
+        first.motions.remove(&mut coefficients_nm);
+        let own = self.covariance.slice(s![..modes, ..modes]).to_owned();
+        let covariance_nm2 = first.motions.removed_from(&own) * inflation;
+        let combined = with_prior(&first.model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+        let defocus = amplitude.map(|optic| {
+            let of_scene = |fitter: &ModalFitter| optic.parameters().first().map_or(1.0, |one| one.get(&fitter.scene));
+            let value = fitters.iter().map(of_scene).find(|value| *value != 0.0).unwrap_or(1.0);
+            let factor = 1.0 + best.amplitude(group);
+            let sigma = (self.covariance[[modes, modes]] * inflation).sqrt() / group.amplitude_unit_nm();
+            FittedOptic {
+                optic,
+                number: None,
+                segment: None,
+                scene: value / factor,
+                value,
+                sigma: (value / factor).abs() * sigma,
+                identifiable_share: 1.0,
+            }
+        });
+        let diversity_effect_nm = match amplitude {
+            Some(_) => None,
+            None => {
+                let mut right = Array1::zeros(self.covariance.nrows());
+                group.add_effect_of_diversities(best, &mut right)?;
+                Some(self.covariance.dot(&right).slice(s![..modes]).to_owned())
+            }
+        };
+        Ok(JointEstimate {
+            maps: StaticMaps::of_modes(&first.model, &combined),
+            sigma_maps: StaticMaps::of_error_bars(&first.model, &combined),
+            modes: combined,
+            defocus,
+            integers: Vec::new(),
+            diversity_effect_nm,
+            disagreement: self.consistency.of_all,
+            channels_nm: Vec::new(),
+        })
+    }
+}

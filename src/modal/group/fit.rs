@@ -1,0 +1,253 @@
+//! Fit of a group from one start: Gauss-Newton coordinates of all images together, L-BFGS in them,
+//! weights of the data first and of the model then.
+
+use crate::control::Control;
+use crate::modal::assess::fisher::null_floor;
+use crate::modal::assess::tilts::spanned_tip_and_tilt;
+use crate::modal::fitter::ModalFitter;
+use crate::modal::group::member::{Member, chain_with_amplitude};
+use crate::modal::group::unknowns::Unknowns;
+use crate::modal::solve::engine::{FitState, ImageFit};
+use crate::modal::solve::minimum::Minimum;
+use crate::modal::solve::runner::{APPROACH, APPROACH_STEPS, REWEIGHTING_STEPS, settings};
+use crate::optimize::{Advance, Metric, QuasiNewton, StopReason};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Most renewals of the weights, and of the coordinates: where the model is right the second moves
+/// nothing.
+const RENEWALS: usize = 6;
+
+/// NCPA modes, the first of them, that a search of the minimum begins with: with all of 44 Zernikes
+/// a tenth as many random starts end in the best minimum of real images in focus.
+const LOW_MODES: usize = 25;
+
+/// The images of a group, with their models.
+pub(super) struct Group<'a> {
+    pub(super) members: Vec<Member<'a>>,
+    pub(super) unknowns: Unknowns,
+    /// The largest diversity, nm RMS over its samples: the unit of the amplitude.
+    unit_nm: f64,
+    step_weights: Arc<[f64]>,
+}
+
+/// How far a fit goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Precise {
+    /// Until it is clear which minimum it is: one renewal of the weights, steps of an error bar.
+    Minimum,
+    /// To the minimum, with the weights of the model there.
+    Wavefront,
+}
+
+/// A minimum of a group.
+#[derive(Debug, Clone)]
+pub(super) struct Trial {
+    /// The unknowns.
+    pub(super) point: Vec<f64>,
+    /// Of each image, in order.
+    pub(super) minima: Vec<Minimum>,
+}
+
+impl Trial {
+    /// χ² of all images.
+    pub(super) fn chi2(&self) -> f64 {
+        self.minima.iter().map(|minimum| minimum.chi2.value * minimum.chi2.freedom).sum()
+    }
+
+    /// χ² of all images per degree of freedom.
+    pub(super) fn reduced_chi2(&self) -> f64 {
+        self.chi2() / self.minima.iter().map(|minimum| minimum.chi2.freedom).sum::<f64>()
+    }
+
+    pub(super) fn has_converged(&self) -> bool {
+        self.minima.iter().all(|minimum| minimum.reason.has_converged())
+    }
+
+    /// Relative error of the amplitude of the diversities; 0 where it is known.
+    pub(super) fn amplitude(&self, group: &Group) -> f64 {
+        group.unknowns.amplitude().map_or(0.0, |place| self.point[place] / group.unit_nm)
+    }
+}
+
+impl<'a> Group<'a> {
+    /// The images of each channel that can be used, `fits`, by its fitter.
+    ///
+    /// # Errors
+    /// [`Error::Image`] where there is none; [`Error::Scene`] for an amplitude of diversities that
+    /// are all 0.
+    pub(super) fn new(fitters: &[&'a ModalFitter], fits: &[Vec<ImageFit>], has_amplitude: bool) -> Result<Self> {
+        let rms_nm = |fitter: &&ModalFitter| {
+            let diversity_nm = &fitter.model.optics.parts().diversity_nm;
+            (diversity_nm.iter().map(|nm| nm * nm).sum::<f64>() / diversity_nm.len() as f64).sqrt()
+        };
+        let unit_nm = fitters.iter().map(rms_nm).fold(0.0, f64::max);
+        if has_amplitude && unit_nm == 0.0 {
+            return Err(Error::Scene(
+                "the amplitude of the diversities is to be fitted (estimate.fit_optics), and all of them are 0: one that is not is needed"
+                    .into(),
+            ));
+        }
+        let mut members = Vec::new();
+        for (channel, (fitter, fits)) in fitters.iter().zip(fits).enumerate() {
+            let chain =
+                if has_amplitude { chain_with_amplitude(fitter, unit_nm)? } else { fitter.reference.clone() };
+            let usable = fits.iter().enumerate().filter(|(_, fit)| fit.state == FitState::NotBegun);
+            members.extend(usable.map(|(image, fit)| Member::new(fitter, chain.clone(), [channel, image], &fit.prepared)));
+        }
+        if members.is_empty() {
+            let refused = fits.iter().flatten().find_map(|fit| match fit.state {
+                FitState::Refused(refusal) => Some(refusal.to_string()),
+                FitState::NotBegun | FitState::Fitted => None,
+            });
+            return Err(Error::Image(refused.unwrap_or_else(|| "there is no image to estimate from".into())));
+        }
+        let model = &members[0].fitter.model;
+        let tilts = spanned_tip_and_tilt(model)?;
+        let unknowns = Unknowns::new(model.optics.modes(), has_amplitude, tilts, members.len());
+        // Of a step of the own tips and tilts the mean over the images counts.
+        let own = 1.0 / members.len() as f64;
+        let mut step_weights = vec![own; unknowns.count()];
+        step_weights[..model.mean_squares.len()].copy_from_slice(&model.mean_squares);
+        if let Some(place) = unknowns.amplitude() {
+            step_weights[place] = 1.0;
+        }
+        Ok(Self { members, unknowns, unit_nm, step_weights: step_weights.into() })
+    }
+
+    /// Unit of the amplitude, nm.
+    pub(super) fn amplitude_unit_nm(&self) -> f64 {
+        self.unit_nm
+    }
+
+    /// Number of pixels of all images.
+    pub(super) fn pixels(&self) -> usize {
+        self.members.iter().map(Member::pixels).sum()
+    }
+
+    /// Applies `work` to each image, on all threads, with its number and its coefficients.
+    fn for_each<R: Send>(
+        &mut self,
+        point: &[f64],
+        work: impl Fn(&mut Member, &Array1<f64>) -> R + Sync,
+    ) -> Vec<R> {
+        let Self { members, unknowns, .. } = self;
+        let each = members.par_iter_mut().with_max_len(1).enumerate();
+        each.map(|(image, member)| work(member, &unknowns.of_image(image, point))).collect()
+    }
+
+    /// Gauss-Newton matrix of all images at `point`, with their present weights.
+    pub(super) fn information(&mut self, point: &[f64]) -> Result<Array2<f64>> {
+        let each = self.for_each(point, |member, coefficients| member.information(coefficients));
+        let mut sum = Array2::zeros((self.unknowns.count(), self.unknowns.count()));
+        for (image, own) in each.iter().enumerate() {
+            self.unknowns.add_information(image, own, &mut sum);
+        }
+        Ok((&sum + &sum.t()) * 0.5)
+    }
+
+    /// Of each image at `point`, where it was evaluated last, by the unknowns that all share: the
+    /// Gauss-Newton matrix, and −½ of the gradient.
+    pub(super) fn scores(&mut self, point: &[f64]) -> Vec<(Array2<f64>, Array1<f64>)> {
+        self.for_each(point, |member, coefficients| {
+            let score = member.evaluation.gradient.iter().map(|slope| -0.5 * slope).collect();
+            (member.information(coefficients), score)
+        })
+    }
+
+    /// Objective and gradient of all images at `point`.
+    pub(super) fn evaluate(&mut self, point: &[f64]) -> (f64, Vec<f64>) {
+        self.for_each(point, |member, coefficients| member.evaluate(coefficients));
+        let mut gradient = vec![0.0; self.unknowns.count()];
+        let mut objective = 0.0;
+        for (image, member) in self.members.iter().enumerate() {
+            objective += member.evaluation.objective;
+            self.unknowns.add_gradient(image, &member.evaluation.gradient, &mut gradient);
+        }
+        (objective, gradient)
+    }
+
+    /// Fits all images from `start`.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`]; [`Error::Value`] where no mode changes the images.
+    pub(super) fn fit(&mut self, start: &[f64], precision: Precise, control: &Control) -> Result<Trial> {
+        self.members.par_iter_mut().try_for_each(Member::begin)?;
+        let (recipe, model) = (self.members[0].fitter.recipe.clone(), self.members[0].fitter.model.clone());
+        let mut settings = settings(&model, &recipe, crate::imaging::Precision::F64, control);
+        settings.step_weights = Some(self.step_weights.clone());
+        let (step_nm, decrement) = (settings.step_tolerance, settings.decrement_tolerance);
+        let floor = null_floor(self.unknowns.count(), self.pixels());
+        let (mut point, mut evaluations) = (start.to_vec(), 0);
+        let mut reason = StopReason::Unfinished;
+        for renewal in 0..=RENEWALS {
+            let mut information = self.information(&point)?;
+            if renewal == 0 && precision == Precise::Minimum {
+                // Directions without information stay where they are.
+                for mode in model.segment_modes + LOW_MODES..model.optics.modes() {
+                    information.row_mut(mode).fill(0.0);
+                    information.column_mut(mode).fill(0.0);
+                }
+            }
+            let metric = Arc::new(Metric::from_gauss_newton(&information, floor)?);
+            let mut solver = QuasiNewton::new(metric, &point, settings.clone())?;
+            let is_rough = renewal == 0 || precision == Precise::Minimum;
+            if is_rough {
+                solver.set_tolerances(APPROACH_STEPS * step_nm, decrement.max(APPROACH))?;
+            }
+            loop {
+                let at = solver.point().to_vec();
+                let (objective, gradient) = self.evaluate(&at);
+                if solver.advance(objective, &gradient) == Advance::Done {
+                    break;
+                }
+            }
+            let before = point.clone();
+            solver.write_solution(&mut point);
+            (evaluations, reason) = (evaluations + solver.outcome().evaluations, solver.outcome().reason);
+            control.check("the images were fitted in part, nothing was written")?;
+            let moved = point.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            let has_settled = moved <= REWEIGHTING_STEPS * step_nm || precision == Precise::Minimum;
+            if !reason.has_converged() || (renewal > 0 && has_settled) || renewal == RENEWALS {
+                break;
+            }
+            let renewed = self.for_each(&point, |member, coefficients| member.renew(coefficients));
+            renewed.into_iter().collect::<Result<Vec<_>>>()?;
+        }
+        let size = (self.unknowns.count(), self.members.len());
+        let minima = self.for_each(&point, |member, coefficients| member.minimum(coefficients, size));
+        let minima = minima.into_iter().map(|minimum| Minimum { evaluations, reason, ..minimum }).collect();
+        Ok(Trial { point, minima })
+    }
+
+    /// Writes the minima of `best`, which was fitted last, into the fits of the channels.
+    pub(super) fn write(&self, best: &Trial, fits: &mut [Vec<ImageFit>]) {
+        for (member, minimum) in self.members.iter().zip(&best.minima) {
+            let [channel, image] = member.place;
+            let fit = &mut fits[channel][image];
+            fit.prepared.clone_from(&member.image);
+            fit.minimum.clone_from(minimum);
+            fit.state = FitState::Fitted;
+        }
+    }
+
+    /// Adds, to the gradient by the unknowns, the information of each image on a relative error 1
+    /// of the amplitude of its diversity.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a map of it that cannot be read.
+    pub(super) fn add_effect_of_diversities(&mut self, best: &Trial, sum: &mut Array1<f64>) -> Result<()> {
+        let each = self.for_each(&best.point, |member, coefficients| -> Result<Array1<f64>> {
+            let diversity_nm = member.fitter.diversity_projection()?.coefficients_nm;
+            Ok(member.information(coefficients).dot(&diversity_nm))
+        });
+        let mut gradient = vec![0.0; sum.len()];
+        for (image, own) in each.into_iter().enumerate() {
+            self.unknowns.add_gradient(image, &own?.to_vec(), &mut gradient);
+        }
+        *sum += &Array1::from(gradient);
+        Ok(())
+    }
+}

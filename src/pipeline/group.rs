@@ -1,0 +1,133 @@
+//! Estimate from images of one wavefront that are fitted together: those of channels in focus or
+//! with a small defocus, or of all channels where the scene says so.
+
+use super::channels::{ChannelImages, combined, names};
+use super::estimate::Estimate;
+use super::modal_task::Fitted;
+use super::policy::Policy;
+use super::warnings::group_warnings;
+use crate::control::{Control, Stage};
+use crate::modal::{self, GroupChannel, GroupEstimate, Minima, is_weak};
+use crate::scene::{Grouping, Optic, Scene, Weighting};
+use crate::{Error, Result};
+use std::time::Instant;
+
+/// Whether the images of `channels` are fitted together.
+///
+/// # Errors
+/// Those of the diversities; [`Error::Scene`] for settings that a fit of several images together
+/// does not have.
+pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<bool> {
+    let images: usize = channels.iter().map(|channel| channel.images.len()).sum();
+    let why = match scene.estimate.group {
+        Grouping::Each => return Ok(false),
+        Grouping::All if images > 1 => "estimate.group = \"all\" fits all images together".to_owned(),
+        Grouping::All => return Ok(false),
+        Grouping::Auto if channels.len() < 2 => return Ok(false),
+        Grouping::Auto => {
+            let mut weak = None;
+            for channel in channels {
+                if is_weak(&channel.scene)? {
+                    weak = channel.name;
+                    break;
+                }
+            }
+            let Some(name) = weak else { return Ok(false) };
+            format!("the channel '{name}' is in focus or has less than half a wave of diversity, so that all images are fitted together")
+        }
+    };
+    let other = scene.estimate.fit_optics.iter().find(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic));
+    if let Some(optic) = other {
+        return Err(Error::Scene(format!(
+            "{}: {why}, where estimate.fit_optics = [\"{}\"] is not fitted; \"defocus\" and \"diversity\" are (estimate.group = \"each\" fits each \
+             image alone)",
+            scene.name(),
+            optic.word()
+        )));
+    }
+    if policy.recipe(scene).weighting != Weighting::Noise {
+        return Err(Error::Scene(format!(
+            "{}: {why}, which needs weights by the noise: estimate.weighting = \"noise\"",
+            scene.name()
+        )));
+    }
+    Ok(true)
+}
+
+/// Estimates the wavefront of all images of `channels` together.
+///
+/// # Errors
+/// Those of [`modal::estimate_group`].
+pub(super) fn estimate(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    channels: &[ChannelImages],
+) -> Result<Estimate> {
+    let started = Instant::now();
+    control.enter(Stage::Preparing, 0);
+    let own = channels.iter().map(|channel| {
+        let own = channel.scene.changed(|sections| sections.estimate.fit_optics.clear())?;
+        let recipe = policy.recipe(&own);
+        let fitter = modal::fitter_for(&own, recipe, &channel.cache, channel.images.cube())?;
+        control.check("the models were built in part, no image was fitted")?;
+        Ok((own, GroupChannel { fitter, cube: channel.images.cube() }))
+    });
+    let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let model_seconds = started.elapsed().as_secs_f64();
+    let GroupEstimate { joint, channels: fits, minima, most_different } = modal::estimate_group(scene, members, control)?;
+    control.check("the images were fitted, nothing was written")?;
+    let each = fits.into_iter().zip(scenes).enumerate().map(|(number, (fit, own))| {
+        let scene = own.adopting(fit.0.scene())?;
+        let model_seconds = if number == 0 { model_seconds } else { 0.0 };
+        let fitted = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
+        fitted.into_estimate(policy)
+    });
+    let each = each.collect::<Result<Vec<_>>>()?;
+    let has_names = channels.iter().any(|channel| channel.name.is_some());
+    let names = if has_names { names(&channels.iter().collect::<Vec<_>>()) } else { Vec::new() };
+    let is_contradictory = joint.is_contradictory();
+    let mut estimate = combined(scene, joint, names, each)?;
+    if let Some(([channel, image], chi2)) = most_different.filter(|_| is_contradictory) {
+        let of = channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
+        estimate.warnings.push(format!(
+            "image {image}{of} differs most from the wavefront of all: the reduced χ² of its difference is {chi2:.1}"
+        ));
+    }
+    estimate.warnings.splice(0..0, group_warnings(&estimate.images));
+    estimate.warnings.extend(warnings(&minima));
+    estimate.remarks.insert(0, remark(&estimate, &minima));
+    Ok(estimate)
+}
+
+/// Warnings on the minima of a fit.
+fn warnings(minima: &Minima) -> Vec<String> {
+    let mut sentences = Vec::new();
+    if minima.has_twin {
+        sentences.push(
+            "the turned wavefront −W(−x, −y) explains these images as well: their diversities are all even, or all odd; one more image, with a \
+             diversity that is neither, decides"
+                .to_owned(),
+        );
+    }
+    if minima.is_suspicious && minima.in_best < 2 {
+        sentences.push(format!(
+            "only one of {} starts of the fit ended in this minimum, and χ² is larger than noise explains: it may be a wrong one",
+            minima.starts
+        ));
+    }
+    sentences
+}
+
+/// What a user should know of the fit.
+fn remark(estimate: &Estimate, minima: &Minima) -> String {
+    let images = estimate.images.iter().filter(|image| image.is_used).count();
+    let next = match minima.next {
+        Some(next) => format!("the next minimum is at Δχ² = {next:.0}"),
+        None => "no other minimum was found".into(),
+    };
+    format!(
+        "{images} images were fitted together; {} of {} starts ended in this minimum, and {next}.",
+        minima.in_best, minima.starts
+    )
+}
