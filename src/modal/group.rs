@@ -73,12 +73,18 @@ fn fitted_amplitude(scene: &System) -> Option<Optic> {
     [Optic::DEFOCUS, Optic::DIVERSITY].into_iter().find(|optic| words.contains(optic))
 }
 
-/// Fits the images of all `channels` of `scene` together.
+/// Fits the images of all `channels` of `scene` together; `near_nm` are the modes that some of them
+/// show alone.
 ///
 /// # Errors
 /// [`Error::Image`] where no image can be used, [`Error::Shape`] for images of another size than
 /// their scene's, [`Error::Scene`] for channels with other modes, [`Error::Interrupted`].
-pub(crate) fn estimate_group(scene: &System, channels: Vec<GroupChannel>, control: &Control) -> Result<GroupEstimate> {
+pub(crate) fn estimate_group(
+    scene: &System,
+    channels: Vec<GroupChannel>,
+    near_nm: Option<&[f64]>,
+    control: &Control,
+) -> Result<GroupEstimate> {
     let started = Instant::now();
     check_modes(&channels)?;
     let amplitude = fitted_amplitude(scene);
@@ -87,7 +93,7 @@ pub(crate) fn estimate_group(scene: &System, channels: Vec<GroupChannel>, contro
     control.enter(Stage::Fitting, images);
     let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
     let mut group = Group::new(&own, &fits, amplitude.is_some())?;
-    let (best, minima) = fit_from_all(&mut group, control)?;
+    let (best, minima) = fit_from_all(&mut group, near_nm, control)?;
     control.enter(Stage::Combining, 0);
     let normal = Normal::new(&mut group, &best)?;
     group.write(&best, &mut fits);

@@ -160,7 +160,7 @@ impl<'a> Channels<'a> {
 
     /// Fits each channel, and again from the results of the others while they contradict each other
     /// or do not explain their images.
-    fn fit(&self, mut series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
+    pub(super) fn fit(&self, mut series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
         let each = (0..self.channels.len()).map(|channel| {
             let series = series.as_deref_mut().and_then(|series| series.get_mut(channel));
             self.named(channel, self.task(channel).fit(series))
@@ -211,7 +211,12 @@ fn own_scene(scene: &Scene) -> Result<Scene> {
 }
 
 /// The estimate of all channels, from the joint one and those of each channel.
-pub(super) fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<Estimate>) -> Result<Estimate> {
+pub(super) fn combined(
+    scene: &Scene,
+    found: JointEstimate,
+    names: Vec<String>,
+    each: Vec<Estimate>,
+) -> Result<Estimate> {
     let fits: Vec<&ModalSummary> = each.iter().filter_map(Estimate::modal).collect();
     let ([own, ..], [first, ..]) = (&fits[..], &each[..]) else {
         return Err(Error::Internal("there is no modal estimate of a channel".into()));

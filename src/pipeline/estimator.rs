@@ -3,12 +3,12 @@
 use super::channels::{ChannelImages, named};
 use super::consistency::{Electrons, reconcile};
 use super::cut_out::scene_of_cut_out;
+use super::divided_images::DividedImages;
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
 use super::policy::Policy;
-use super::divided_images::DividedImages;
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::{channels, full_phase};
 use crate::control::{Control, Stage};

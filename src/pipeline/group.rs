@@ -1,13 +1,13 @@
 //! Estimate from images of one wavefront that are fitted together: those of channels in focus or
 //! with a small defocus, or of all channels where the scene says so.
 
-use super::channels::{ChannelImages, combined, names};
+use super::channels::{ChannelImages, Channels, combined, names};
 use super::estimate::Estimate;
 use super::modal_task::Fitted;
 use super::policy::Policy;
 use super::warnings::group_warnings;
 use crate::control::{Control, Stage};
-use crate::modal::{self, GroupChannel, GroupEstimate, Minima, is_weak};
+use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, is_weak};
 use crate::scene::{Grouping, Optic, Scene, Weighting};
 use crate::{Error, Result};
 use std::time::Instant;
@@ -33,7 +33,9 @@ pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages
                 }
             }
             let Some(name) = weak else { return Ok(false) };
-            format!("the channel '{name}' is in focus or has less than half a wave of diversity, so that all images are fitted together")
+            format!(
+                "the channel '{name}' is in focus or has less than half a wave of diversity, so that all images are fitted together"
+            )
         }
     };
     let other = scene.estimate.fit_optics.iter().find(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic));
@@ -75,7 +77,11 @@ pub(super) fn estimate(
     });
     let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let model_seconds = started.elapsed().as_secs_f64();
-    let GroupEstimate { joint, channels: fits, minima, most_different } = modal::estimate_group(scene, members, control)?;
+    let near = near_wavefront(scene, policy, control, channels)?;
+    let near_nm = near.as_ref().map(|near| near.modes.coefficients_nm.as_slice());
+    let GroupEstimate { mut joint, channels: fits, minima, most_different } =
+        modal::estimate_group(scene, members, near_nm, control)?;
+    joint.integers = near.map(|near| near.integers).unwrap_or_default();
     control.check("the images were fitted, nothing was written")?;
     let each = fits.into_iter().zip(scenes).enumerate().map(|(number, (fit, own))| {
         let scene = own.adopting(fit.0.scene())?;
@@ -98,6 +104,28 @@ pub(super) fn estimate(
     estimate.warnings.extend(warnings(&minima));
     estimate.remarks.insert(0, remark(&estimate, &minima));
     Ok(estimate)
+}
+
+/// The estimate from those of `channels` whose images can be fitted alone, where there are some and
+/// they are of one wavefront.
+fn near_wavefront(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    channels: &[ChannelImages],
+) -> Result<Option<JointEstimate>> {
+    let mut strong = Vec::new();
+    for channel in channels {
+        if !is_weak(&channel.scene)? {
+            strong.push(channel);
+        }
+    }
+    if strong.is_empty() {
+        return Ok(None);
+    }
+    let policy = Policy { select_model: false, ..*policy };
+    let (_, found) = Channels::new(scene, &policy, control, &strong)?.fit(None)?;
+    Ok(Some(found).filter(|found| !found.is_contradictory()))
 }
 
 /// Warnings on the minima of a fit.

@@ -6,8 +6,8 @@ use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    AoKnowledge, Combine, DeviceChoice, Grouping, Method, ModelChoice, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes,
-    Telemetry, Weighting,
+    AoKnowledge, Combine, DeviceChoice, Grouping, Method, ModelChoice, NcpaBasis, Optimizer, Precision, Sampling,
+    SegmentModes, Telemetry, Weighting,
 };
 use crate::Result;
 use std::path::PathBuf;

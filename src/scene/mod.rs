@@ -40,8 +40,8 @@ mod unknown;
 mod value;
 mod words;
 
-pub(crate) use channel::ImageList;
 pub use adaptive::{ControlScene, LoopLag, MirrorScene, SensorScene, TurbulenceScene};
+pub(crate) use channel::ImageList;
 pub use commands::CommandsScene;
 pub use edit::split_setting;
 pub use faults::FaultScene;
@@ -59,9 +59,10 @@ pub use telescope::{AberrationScene, ImageScene};
 pub(crate) use units::MAS_PER_RADIAN;
 pub(crate) use value::SettingValue;
 pub use words::{
-    AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Grouping, Influence, Loop, Method, ModelChoice,
-    NcpaBasis, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentConvention,
-    SegmentModes, SensorDetector, SensorKind, SensorMask, SlopeNormalisation, SlopeOrder, Telemetry, Weighting,
+    AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Grouping, Influence, Loop, Method,
+    ModelChoice, NcpaBasis, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling,
+    SegmentConvention, SegmentModes, SensorDetector, SensorKind, SensorMask, SlopeNormalisation, SlopeOrder, Telemetry,
+    Weighting,
 };
 
 use crate::{Error, Result};

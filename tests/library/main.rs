@@ -16,6 +16,7 @@ mod fits;
 mod full_phase;
 mod fuzz;
 mod golden;
+mod groups;
 mod measured_loop;
 mod measured_mirror;
 mod modal;

@@ -96,9 +96,11 @@ pub(in crate::modal) fn root_of_pseudo_inverse(fisher: &Array2<f64>, floor: f64)
     Ok(metric.whitening().map(|whitening| &whitening * &scale.insert_axis(Axis(1))).unwrap_or_default())
 }
 
-/// `information` of the modes where amounts of `directions` (rows) are unknown.
+/// `information` of the modes where amounts of `directions` (rows) are unknown. Modes of which
+/// rounding alone is left have none.
 pub(in crate::modal) fn without(information: Array2<f64>, directions: &Array2<f64>) -> Array2<f64> {
-    directions.outer_iter().fold(information, |information, direction| {
+    let before = information.diag().to_owned();
+    let mut left = directions.outer_iter().fold(information, |information, direction| {
         let along = information.dot(&direction);
         let own = direction.dot(&along);
         if own <= 0.0 {
@@ -106,7 +108,14 @@ pub(in crate::modal) fn without(information: Array2<f64>, directions: &Array2<f6
         }
         let column = along.insert_axis(Axis(1));
         information - column.dot(&column.t()) / own
-    })
+    });
+    for (mode, before) in before.into_iter().enumerate() {
+        if left[[mode, mode]] <= NULL_FLOOR * before {
+            left.row_mut(mode).fill(0.0);
+            left.column_mut(mode).fill(0.0);
+        }
+    }
+    left
 }
 
 /// Number of directions of `information` whose eigenvalue is above `floor`, as [`pseudo_inverse`]

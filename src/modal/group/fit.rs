@@ -92,10 +92,10 @@ impl<'a> Group<'a> {
         }
         let mut members = Vec::new();
         for (channel, (fitter, fits)) in fitters.iter().zip(fits).enumerate() {
-            let chain =
-                if has_amplitude { chain_with_amplitude(fitter, unit_nm)? } else { fitter.reference.clone() };
+            let chain = if has_amplitude { chain_with_amplitude(fitter, unit_nm)? } else { fitter.reference.clone() };
             let usable = fits.iter().enumerate().filter(|(_, fit)| fit.state == FitState::NotBegun);
-            members.extend(usable.map(|(image, fit)| Member::new(fitter, chain.clone(), [channel, image], &fit.prepared)));
+            members
+                .extend(usable.map(|(image, fit)| Member::new(fitter, chain.clone(), [channel, image], &fit.prepared)));
         }
         if members.is_empty() {
             let refused = fits.iter().flatten().find_map(|fit| match fit.state {
@@ -128,11 +128,7 @@ impl<'a> Group<'a> {
     }
 
     /// Applies `work` to each image, on all threads, with its number and its coefficients.
-    fn for_each<R: Send>(
-        &mut self,
-        point: &[f64],
-        work: impl Fn(&mut Member, &Array1<f64>) -> R + Sync,
-    ) -> Vec<R> {
+    fn for_each<R: Send>(&mut self, point: &[f64], work: impl Fn(&mut Member, &Array1<f64>) -> R + Sync) -> Vec<R> {
         let Self { members, unknowns, .. } = self;
         let each = members.par_iter_mut().with_max_len(1).enumerate();
         each.map(|(image, member)| work(member, &unknowns.of_image(image, point))).collect()

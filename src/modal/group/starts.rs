@@ -1,5 +1,5 @@
-//! Fits of a group from several starts. The flat wavefront is the first; where the sign of the
-//! diversities is not known, it is tried with both. While χ² of the best minimum is larger than
+//! Fits of a group from several starts. The wavefront that some of its images show alone is the
+//! first, or the flat one; where the sign of the diversities is not known, that is tried with both. While χ² of the best minimum is larger than
 //! noise explains, random wavefronts follow, and, in turn with them, the best minimum with a random
 //! wavefront added, which finds its neighbours; until three of the first end in the best. The
 //! turned wavefront W′(x) = −W(−x), whose images in focus are the same, is tried last.
@@ -51,11 +51,11 @@ pub(crate) struct Minima {
     pub(crate) is_suspicious: bool,
 }
 
-/// Fits the group from all starts; the best minimum, in which the images of the group are left.
+/// Fits the group from `near_nm`, or the flat wavefront, and further starts; the best minimum, in which the images of the group are left.
 ///
 /// # Errors
 /// As [`Group::fit`].
-pub(super) fn fit_from_all(group: &mut Group, control: &Control) -> Result<(Trial, Minima)> {
+pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: &Control) -> Result<(Trial, Minima)> {
     let (unknowns, modes) = (group.unknowns.count(), group.members[0].fitter.model.optics.modes());
     let unit_nm = group.amplitude_unit_nm();
     let amplitude = group.unknowns.amplitude();
@@ -68,9 +68,14 @@ pub(super) fn fit_from_all(group: &mut Group, control: &Control) -> Result<(Tria
         start
     };
     let silent = &control.silent();
-    let mut trials = vec![group.fit(&from(&vec![0.0; modes], 1.0), Precise::Minimum, silent)?];
-    if amplitude.is_some() {
-        trials.push(group.fit(&from(&vec![0.0; modes], -1.0), Precise::Minimum, silent)?);
+    let flat_nm = vec![0.0; modes];
+    let (first, precision) = match near_nm {
+        Some(near_nm) => (near_nm, Precise::Wavefront),
+        None => (&flat_nm[..], Precise::Minimum),
+    };
+    let mut trials = vec![group.fit(&from(first, 1.0), precision, silent)?];
+    if amplitude.is_some() && near_nm.is_none() {
+        trials.push(group.fit(&from(&flat_nm, -1.0), Precise::Minimum, silent)?);
     }
     let fitter = group.members[0].fitter;
     let mut random = Vec::new();

@@ -40,7 +40,8 @@ pub use adaptive::{
 };
 pub use device::{Crop, DeviceChoice};
 pub use estimate::{
-    AoKnowledge, Combine, Grouping, Method, ModelChoice, Optimizer, Precision, Sampling, SegmentConvention, Telemetry, Weighting,
+    AoKnowledge, Combine, Grouping, Method, ModelChoice, Optimizer, Precision, Sampling, SegmentConvention, Telemetry,
+    Weighting,
 };
 pub use telescope::{Aperture, NcpaBasis, PupilModel, SegmentModes};
 

@@ -2,8 +2,8 @@
 //! are done drop out.
 
 use crate::imaging::{Chain, Evaluation, Exposure};
-use crate::modal::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use crate::modal::prepare::rejection::weigh_dead;
+use crate::modal::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use crate::modal::solve::engine::cpu::CpuEngine;
 use crate::modal::solve::engine::task::{
     Engine, FitState, FitTask, ImageFit, Prepare, interrupted, stop_if_cancelled, unusable,

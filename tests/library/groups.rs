@@ -1,0 +1,182 @@
+//! Images of one wavefront that are fitted together: in focus, with known shapes of a mirror
+//! between them, or with a small defocus.
+
+use crate::consistency::scene;
+use cophase::io::{FitsWriter, Pixel};
+use cophase::pipeline::{Estimate, Estimator, Images};
+use cophase::scene::Scene;
+use ndarray::{Array3, Axis};
+use std::path::{Path, PathBuf};
+
+/// Shapes that are neither even nor odd: focus, astigmatism and coma in turn, of `rms_nm`.
+fn shapes(folder: &Path, rms_nm: f64) -> PathBuf {
+    let value = |(shape, y, x): (usize, usize, usize)| {
+        let [x, y] = [x, y].map(|at| (at as f64 - 47.5) / 48.0);
+        let square = x * x + y * y;
+        let terms =
+            [2.0 * square - 1.0, 2.0 * x * y, (3.0 * square - 2.0) * x, x * x - y * y, (3.0 * square - 2.0) * y];
+        let weights = [
+            [1.0, 0.3, 0.5, 0.0, -0.6],
+            [-0.8, 0.6, 0.0, 0.7, 0.5],
+            [0.2, -1.0, -0.7, 0.4, 0.0],
+            [0.7, 0.0, 0.6, -0.9, 0.4],
+        ];
+        1.7 * rms_nm * terms.iter().zip(weights[shape]).map(|(term, weight)| term * weight).sum::<f64>()
+    };
+    let path = folder.join("shapes.fits");
+    let mut file = FitsWriter::create(&path).unwrap();
+    file.image("SHAPES", &Array3::from_shape_fn((4, 96, 96), value), Pixel::F64, "nm").unwrap();
+    file.finish().unwrap();
+    path
+}
+
+/// Five images in focus, the first of a mirror at rest.
+fn in_focus(folder: &Path, settings: &[(&str, &str)]) -> Scene {
+    let path = shapes(folder, 100.0);
+    let usual = [
+        ("image.diversity_focus_waves_rms", ""),
+        ("image.diversity_file", path.to_str().unwrap()),
+        ("image.diversity_planes", "[-1, 0, 1, 2, 3]"),
+        ("image.count", "5"),
+        ("estimate.group", "all"),
+    ];
+    scene(&[&usual[..], settings].concat())
+}
+
+fn estimate(scene: &Scene, images: &Images) -> Estimate {
+    Estimator::new(scene).unwrap().estimate(images).unwrap()
+}
+
+/// Residual of the wavefront over its error bar.
+fn pull(estimate: &Estimate) -> f64 {
+    let (_, residual) = estimate.truth.as_ref().unwrap();
+    residual.rms_nm[2] / estimate.figures.wavefront.sigma_nm
+}
+
+#[test]
+fn images_in_focus_with_known_shapes_determine_the_wavefront() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = in_focus(folder.path(), &[]);
+    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+    assert!(found.warnings.is_empty() && found.images.len() == 5, "{:?}", found.warnings);
+    assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));
+    assert!(found.figures.wavefront.sigma_nm < 20.0, "{}", found.figures.wavefront.sigma_nm);
+}
+
+#[test]
+fn scale_and_sign_of_the_shapes_are_fitted() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = in_focus(folder.path(), &[("image.diversity_scale", "-0.66")]);
+    let scene = in_focus(folder.path(), &[("estimate.fit_optics", "[\"diversity\"]")]);
+    let images = Images { scene: None, ..Images::simulated(&made).unwrap() };
+    let found = estimate(&scene, &images);
+    let [scale] = found.optics.as_slice() else { panic!("{:?}", found.optics) };
+    assert_eq!((scale.key.as_str(), scale.scene), ("image.diversity_scale", 1.0));
+    assert!((scale.value + 0.66).abs() < 4.0 * scale.sigma && scale.sigma < 0.02, "{scale:?}");
+    assert!(found.warnings.is_empty() && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+}
+
+#[test]
+fn pairs_with_a_small_defocus_are_fitted_together() {
+    let channels =
+        "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -0.2\n";
+    let text = scene(&[("image.diversity_focus_waves_rms", "0.2")]).text().replacen(
+        "[modes]",
+        &format!("{channels}[modes]"),
+        1,
+    );
+    let pair = Scene::from_text(&text, Path::new("")).unwrap();
+    let images = Images::simulated_channels(&pair).unwrap();
+    let found = Estimator::new(&pair).unwrap().estimate(&images).unwrap();
+    assert!(found.remarks[0].contains("2 images were fitted together"), "{:?}", found.remarks);
+    assert!(found.warnings.is_empty() && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+}
+
+#[test]
+fn an_image_of_another_wavefront_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = in_focus(folder.path(), &[]);
+    let mut images = Images::simulated(&scene).unwrap();
+    let other = in_focus(folder.path(), &[("aberrations.segment_piston_rms_nm", "100")]);
+    let other = Images::simulated(&other).unwrap();
+    images.images_e.slice_mut(ndarray::s![3, .., ..]).assign(&other.images_e.slice(ndarray::s![3, .., ..]));
+    let found = estimate(&scene, &images);
+    let says = |part: &str| found.warnings.iter().any(|warning| warning.contains(part));
+    assert!(says("contradict each other") && says("image 0 of channel map 2 differs most"), "{:?}", found.warnings);
+}
+
+#[test]
+fn shapes_that_are_all_odd_leave_a_twin() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("odd.fits");
+    let odd = |(shape, y, x): (usize, usize, usize)| {
+        let [x, y] = [x, y].map(|at| (at as f64 - 47.5) / 48.0);
+        200.0 * (3.0 * (x * x + y * y) - 2.0) * if shape == 0 { x } else { y }
+    };
+    let mut file = FitsWriter::create(&path).unwrap();
+    file.image("SHAPES", &Array3::from_shape_fn((2, 96, 96), odd), Pixel::F64, "nm").unwrap();
+    file.finish().unwrap();
+    let scene = in_focus(
+        folder.path(),
+        &[
+            ("image.diversity_file", path.to_str().unwrap()),
+            ("image.diversity_planes", "[-1, 0, 1]"),
+            ("image.count", "3"),
+        ],
+    );
+    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+    let says = found.warnings.iter().any(|warning| warning.contains("the turned wavefront −W(−x, −y)"));
+    assert!(says, "{:?}", found.warnings);
+}
+
+#[test]
+fn what_a_group_does_not_take_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let usual = in_focus(folder.path(), &[]);
+    let images = Images::simulated(&usual).unwrap();
+    let refused = |settings: &[(&str, &str)], parts: &[&str]| {
+        let scene = usual.with(settings).unwrap();
+        let images = Images { scene: None, ..images.clone() };
+        let error = Estimator::new(&scene).unwrap().estimate(&images).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{settings:?}: {error}");
+    };
+    refused(&[("image.diversity_planes", "[0, 1]")], &["image.diversity_planes has 2 numbers", "5 images"]);
+    refused(&[("image.diversity_planes", "[0, 1, 2, 3, 4]")], &["has 4,", "4 maps"]);
+    refused(&[("estimate.fit_optics", "[\"rotation\"]")], &["\"rotation\"", "estimate.group = \"each\""]);
+    let at_rest = [("image.diversity_planes", "[-1, -1, -1, -1, -1]"), ("estimate.fit_optics", "[\"diversity\"]")];
+    refused(&at_rest, &["all of them are 0"]);
+    let error = usual.with(&[("image.diversity_file", "")]).unwrap_err().to_string();
+    assert!(error.contains("image.diversity_planes") && error.contains("image.diversity_file"), "{error}");
+}
+
+/// Real images of a bench in focus, between which a mirror took known shapes. Where the folder of
+/// the data is not there, nothing is tested.
+#[test]
+#[ignore = "merge: 60 s"]
+fn images_of_a_bench_are_explained_together() {
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let found = ["../shared/data/keck-bench", "../../shared/data/keck-bench"].map(|at| package.join(at));
+    let Some(folder) = found.into_iter().find(|folder| folder.is_dir()) else {
+        println!("no folder ../shared/data/keck-bench: nothing tested");
+        return;
+    };
+    let run = folder.join("run1.fits");
+    let text = format!(
+        "[pupil]\naperture = \"round\"\nrings = 0\nsegment_side_m = 5.45\nsegment_gap_m = 0.0\ngrid_m = 11.3\nsamples = 120\n\
+         [image]\nwavelength_nm = 2169.3\npixel_mas = 10.0\npixels = 64\ngain_e_per_adu = 3.5\nread_noise_e = 26.0\npixel_fill = 1.0\n\
+         diversity_file = \"{}[DM_PHASE]\"\ndiversity_planes = [0, 3, 6, 10, 20]\n\
+         [modes]\nsegment = \"none\"\nncpa = \"zernike\"\nncpa_count = 44\nexact_zernikes = [2, 45]\n\
+         [estimate]\ngroup = \"all\"\nfit_optics = [\"diversity\"]\n",
+        run.display()
+    );
+    let scene = Scene::from_text(&text, Path::new("")).unwrap();
+    let whole = Images::read(&run, None).unwrap();
+    let which = [1, 4, 7, 11, 21];
+    let images =
+        Images { images_e: whole.images_e.select(Axis(0), &which), bad: whole.bad.select(Axis(0), &which), ..whole };
+    let found = estimate(&scene, &images);
+    let [scale] = found.optics.as_slice() else { panic!("{:?}", found.optics) };
+    println!("reduced χ² {:.3}, scale {:.4} ± {:.4}", found.reduced_chi2, scale.value, scale.sigma);
+    assert!(found.reduced_chi2 < 1.5, "{}", found.reduced_chi2);
+    assert!((-0.72..-0.6).contains(&scale.value), "{scale:?}");
+}
