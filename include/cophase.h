@@ -133,6 +133,9 @@ uint32_t cophase_abi_version(void);
 /* Image status: the deadline passed; its coefficients are the best so far. */
 #define COPHASE_IMAGE_DEADLINE 105
 
+/* Status of an estimate alone: its images are of several wavefronts, and their mean is of none. */
+#define COPHASE_IMAGE_CONTRADICTORY 106
+
 /* Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have
  * more.
  */

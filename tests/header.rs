@@ -174,5 +174,8 @@ fn a_c_program_links_and_runs() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.starts_with(&format!("cophase {}, C interface", env!("CARGO_PKG_VERSION"))), "{text}");
     assert!(text.contains("0 OK\n1 BAD_SCENE\n") && text.contains("11 PANIC\n12 UNKNOWN\n"), "{text}");
-    assert!(text.contains("100 OK\n101 MISFIT\n") && text.contains("105 DEADLINE\n106 UNKNOWN\n"), "{text}");
+    assert!(
+        text.contains("100 OK\n101 MISFIT\n") && text.contains("105 DEADLINE\n106 CONTRADICTORY\n107 UNKNOWN\n"),
+        "{text}"
+    );
 }

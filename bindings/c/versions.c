@@ -14,7 +14,7 @@ int main(void)
            (unsigned)COPHASE_ABI_VERSION);
     for (status = 0; status < 13; status++)
         printf("%d %s\n", (int)status, cophase_status_name(status));
-    for (status = 100; status < 107; status++)
+    for (status = 100; status < 108; status++)
         printf("%d %s\n", (int)status, cophase_status_name(status));
     return cophase_abi_version() == COPHASE_ABI_VERSION ? 0 : 1;
 }

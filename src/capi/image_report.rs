@@ -2,8 +2,8 @@
 
 use super::policy::COPHASE_POLICY_REALTIME;
 use super::status::{
-    COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
-    COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
+    COPHASE_IMAGE_CONTRADICTORY, COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED,
+    COPHASE_IMAGE_OK, COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
 };
 use crate::modal::{ImageReport, ImageResult, Status};
 use crate::optimize::StopReason;
@@ -92,6 +92,7 @@ pub(super) fn number(status: &Status) -> i32 {
         Status::Ok => COPHASE_IMAGE_OK,
         Status::Misfit => COPHASE_IMAGE_MISFIT,
         Status::WrongMinimum => COPHASE_IMAGE_WRONG_MINIMUM,
+        Status::Contradictory => COPHASE_IMAGE_CONTRADICTORY,
         Status::NotConverged(StopReason::DeadlineReached) => COPHASE_IMAGE_DEADLINE,
         Status::NotConverged(_) => COPHASE_IMAGE_NOT_CONVERGED,
         Status::Unusable(_) => COPHASE_IMAGE_UNUSABLE,

@@ -46,6 +46,8 @@ pub const COPHASE_IMAGE_NOT_CONVERGED: i32 = 103;
 pub const COPHASE_IMAGE_UNUSABLE: i32 = 104;
 /// Image status: the deadline passed; its coefficients are the best so far.
 pub const COPHASE_IMAGE_DEADLINE: i32 = 105;
+/// Status of an estimate alone: its images are of several wavefronts, and their mean is of none.
+pub const COPHASE_IMAGE_CONTRADICTORY: i32 = 106;
 
 /// Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`,
 /// `MISFIT`, ...; `UNKNOWN` for a number of a later version. A static string, never NULL.
@@ -58,6 +60,7 @@ pub extern "C" fn cophase_status_name(status: i32) -> *const c_char {
         COPHASE_IMAGE_NOT_CONVERGED => c"NOT_CONVERGED",
         COPHASE_IMAGE_UNUSABLE => c"UNUSABLE",
         COPHASE_IMAGE_DEADLINE => c"DEADLINE",
+        COPHASE_IMAGE_CONTRADICTORY => c"CONTRADICTORY",
         other => Error::status_name(other).unwrap_or(c"UNKNOWN"),
     };
     name.as_ptr()

@@ -1,6 +1,7 @@
 //! Combination of the minima of single images into one estimate: mean or median, error bars, maps.
 
 pub(in crate::modal) mod accumulator;
+pub(in crate::modal) mod agreement;
 pub(in crate::modal) mod combined_modes;
 pub(in crate::modal) mod diversity_error;
 pub(in crate::modal) mod global_motions;
@@ -8,19 +9,20 @@ pub(in crate::modal) mod integers;
 pub(in crate::modal) mod joint;
 pub(in crate::modal) mod pistons;
 pub(in crate::modal) mod sequence;
+pub(in crate::modal) mod single_image;
 pub(in crate::modal) mod static_maps;
 
 use super::fitter::ModalFitter;
 use super::model::Model;
 use super::prepare::PreparedFrame;
 use crate::imaging::Precision;
-use crate::modal::assess::image_covariances::ImageCovariances;
 use crate::modal::assess::mean_residual::{EXPLAINED, mean_residual_chi2};
 use crate::modal::assess::residual::variance;
-use crate::modal::assess::status::{ImageReport, Selection, Status};
+use crate::modal::assess::status::{ImageReport, Selection, Status, nothing_fitted};
+use crate::modal::combine::agreement::Agreement;
 use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::combine::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
+use crate::modal::combine::sequence::{SEQUENCE, scatter, shrinkage_of_variance};
+use crate::modal::combine::single_image::{Combined, Fits, SingleImage, centre, scale_of_noise};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
 use crate::modal::solve::minimum::Minimum;
@@ -30,8 +32,6 @@ use crate::scene::Combine;
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, Axis};
-use rayon::prelude::*;
-use std::slice::from_ref;
 
 /// One image beside its fitted model, for pictures: `[y, x]`, electrons at the model's sampling.
 #[derive(Debug, Clone)]
@@ -97,6 +97,8 @@ pub struct ModalEstimate {
     /// median of χ² is above 2 it is 1: error bars of a wavefront that changes are from the
     /// scatter.
     pub mean_residual_chi2: f64,
+    /// Whether the images are of one wavefront.
+    pub agreement: Agreement,
     /// The first image that was used, with its model.
     pub compared: FittedImage,
     /// Combinations of modes that change the images little or not at all.
@@ -115,17 +117,6 @@ pub struct ModalEstimate {
     pub(super) is_of_group: bool,
     /// Covariances of a single image.
     single: SingleImage,
-}
-
-/// Covariances of the coefficients of one image, nm², pistons about their mean.
-#[derive(Debug, Clone)]
-struct SingleImage {
-    /// From the noise.
-    noise_nm2: Array2<f64>,
-    /// From the scatter of the images.
-    scatter_nm2: Array2<f64>,
-    /// From an error of the model that the images share, and that does not average out.
-    shared_nm2: Array2<f64>,
 }
 
 impl ModalEstimate {
@@ -164,6 +155,12 @@ impl ModalEstimate {
         is_sequence(&self.images.iter().collect::<Vec<_>>())
     }
 
+    /// The worst status among the images, and contradictory where they are of several wavefronts.
+    pub fn status_of_all(&self) -> Status {
+        let contradiction = self.agreement.is_contradictory().then_some(&Status::Contradictory);
+        *Status::worst(self.images.iter().map(|image| &image.status).chain(contradiction))
+    }
+
     /// The worst status among the images.
     pub fn status(&self) -> &Status {
         Status::worst(self.images.iter().map(|image| &image.status))
@@ -174,44 +171,45 @@ pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
     reports.iter().filter(|report| report.status.has_converged()).count() >= SEQUENCE
 }
 
-/// Combines the fits of all images of a call.
-pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube) -> Result<ModalEstimate> {
+/// Combines the fits of all images of a call; `is_tested` whether they are to be of one wavefront.
+pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: bool) -> Result<ModalEstimate> {
     let (model, motions) = (&fitter.model, &fitter.motions);
-    let ImageFits { coefficients_nm: image_coefficients_nm, reports: images } = fitted.assess(fitter);
-    let FittedCube { indices, prepared, minima, .. } = &fitted;
+    let ImageFits { mut coefficients_nm, reports: images } = fitted.assess(fitter);
+    let FittedCube { indices, prepared, minima, .. } = &mut fitted;
     let reports: Vec<ImageReport> = indices.iter().map(|&image| images[image]).collect();
     let how = fitter.recipe.combine;
     let fitted_reports: Vec<&ImageReport> = reports.iter().collect();
-    let fitted_nm = image_coefficients_nm.select(Axis(0), indices);
-    let Selection { used, clipped } = Selection::new(&fitted_reports, &fitted_nm, how);
-    let Some(&first) = used.first() else { return Err(nothing_fitted(&fitted_reports)) };
-    let used_nm = fitted_nm.select(Axis(0), &used);
-    let coefficients_nm = centre(motions, &used_nm, how);
-    let (mut single, fisher) = if is_sequence(&fitted_reports) {
-        let (noise_nm2, fisher) = noise_at(fitter, &prepared[first], &minima[first], &coefficients_nm)?;
-        let scatter_nm2 = motions.removed_from(&scatter(&used_nm, how, &noise_nm2));
-        (SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher)
-    } else {
-        few_images(fitter, prepared, minima, &reports, &used, &used_nm)?
-    };
+    let is_sequence = is_sequence(&fitted_reports);
+    let fits = Fits { fitter, prepared, minima, reports: &reports };
+    let fitted_nm = coefficients_nm.select(Axis(0), indices);
+    let Combined { fitted_nm, used, clipped, agreement, mut single, fisher } =
+        if is_sequence { fits.sequence(fitted_nm, is_tested)? } else { fits.few_images(fitted_nm, is_tested)? };
+    for ((row_nm, &image), minimum) in fitted_nm.outer_iter().zip(indices.iter()).zip(minima.iter_mut()) {
+        minimum.coefficients_nm = row_nm.to_vec();
+        coefficients_nm.row_mut(image).assign(&row_nm);
+    }
+    let (prepared, minima, first) = (&*prepared, &*minima, used[0]);
     let mean_residual_chi2 = mean_residual_chi2(fitter, prepared, minima, &reports, &used);
-    let shrinkage = shrinkage_of_variance(how, used.len());
+    // The mean of several wavefronts is as far from each of them as they are from each other.
+    let shrinkage = if agreement.is_contradictory() { 1.0 } else { shrinkage_of_variance(how, used.len()) };
     // The noise of a few images is scaled by their own χ² already.
-    let scaled = if is_sequence(&fitted_reports) { 1.0 } else { scale_of_noise(&reports, &used) };
+    let scaled = if is_sequence { 1.0 } else { scale_of_noise(&reports, &used) };
     if used.len() > 1 && mean_residual_chi2 > EXPLAINED.max(scaled) {
         single.shared_nm2 = &single.noise_nm2 * ((mean_residual_chi2 / scaled - 1.0) * shrinkage);
     }
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
-    let likelihood = CombinedModes { coefficients_nm, covariance_nm2 };
+    let centre_nm = centre(motions, &fitted_nm.select(Axis(0), &used), how);
+    let likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     Ok(ModalEstimate {
         combine: how,
         combined: Combination::new(fitter, likelihood.clone(), images_of(&used), images_of(&clipped))?,
         mean_residual_chi2,
+        agreement: agreement.of_images(indices),
         compared: fitted_image(fitter, &minima[first], &prepared[first]),
         degeneracy: Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW)?,
         images,
-        image_coefficients_nm,
+        image_coefficients_nm: coefficients_nm,
         likelihood,
         is_of_group: false,
         single,
@@ -266,16 +264,6 @@ impl ModalFitter {
     }
 }
 
-fn nothing_fitted(reports: &[&ImageReport]) -> Error {
-    let reason = match reports.first().map(|report| &report.status) {
-        Some(Status::NotConverged(reason)) => reason.to_string(),
-        Some(Status::Unusable(refusal)) => refusal.to_string(),
-        Some(other) => other.word().into(),
-        None => "there is none".into(),
-    };
-    Error::Image(format!("no image could be fitted: {reason}"))
-}
-
 /// `likelihood` with the prior of the model's modes. Covariance and coefficients are of pistons
 /// about their mean, and so is the result, which is moved along columns of that covariance.
 pub(super) fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes> {
@@ -283,81 +271,6 @@ pub(super) fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<Com
         Some(prior) => prior.posterior(&likelihood),
         None => Ok(likelihood),
     }
-}
-
-/// Mean or median of images, pistons about their mean.
-pub(super) fn centre(motions: &GlobalMotions, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
-    let mut coefficients_nm = location(used_nm, how).to_vec();
-    motions.remove(&mut coefficients_nm);
-    coefficients_nm
-}
-
-/// Covariance of one image from its noise (nm²), and its Fisher matrix (per nm²), at the wavefront
-/// of the whole sequence. One matrix serves all images, because the noise is the smallest part of
-/// their scatter.
-fn noise_at(
-    fitter: &ModalFitter,
-    prepared: &PreparedFrame,
-    minimum: &Minimum,
-    coefficients_nm: &[f64],
-) -> Result<(Array2<f64>, Array2<f64>)> {
-    let minimum = Minimum { coefficients_nm: coefficients_nm.to_vec(), ..minimum.clone() };
-    let psf = fitter.reference.psf(ArrayView1::from(coefficients_nm));
-    let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
-    let covariances =
-        ImageCovariances::new(fitter, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
-    Ok((covariances.covariance(0).clone(), covariances.fisher(0).clone()))
-}
-
-/// Mean factor by which [`few_images`] scales the noise of the images `used`.
-fn scale_of_noise(reports: &[ImageReport], used: &[usize]) -> f64 {
-    used.iter().map(|&image| reports[image].reduced_chi2.max(1.0)).sum::<f64>() / used.len() as f64
-}
-
-/// Covariance of one of a few images, and the Fisher matrix of the first: the mean over the used
-/// images of the covariance from the noise, scaled by χ² where the model misfits; from four images
-/// on that of their scatter where it is larger (a static wavefront under a changing one scatters
-/// more than its noise).
-fn few_images(
-    fitter: &ModalFitter,
-    prepared: &[PreparedFrame],
-    minima: &[Minimum],
-    reports: &[ImageReport],
-    used: &[usize],
-    used_nm: &Array2<f64>,
-) -> Result<(SingleImage, Array2<f64>)> {
-    let variance_e2 = |&image: &usize| {
-        let psf = fitter.reference.psf(ArrayView1::from(&minima[image].coefficients_nm));
-        variance(&psf, &minima[image], &prepared[image].floor_variance_e2)
-    };
-    let count = used.len() as f64;
-    let mut noise_nm2 = Array2::<f64>::zeros([fitter.model.optics.modes(); 2]);
-    let mut fisher = None;
-    // Where no fit converged there may be many images, and each keeps two matrices.
-    for images in used.chunks(SEQUENCE) {
-        let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
-        let covariances = ImageCovariances::new(fitter, images, prepared, minima, &variances)?;
-        for (place, &image) in images.iter().enumerate() {
-            noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, covariances.covariance(place));
-        }
-        fisher.get_or_insert_with(|| covariances.fisher(0).clone());
-    }
-    let scatter_nm2 = covariance_with_scatter(noise_nm2.clone(), used_nm);
-    let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;
-    Ok((SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher))
-}
-
-/// Covariance of one of a few images, `noise_nm2` from its noise: from four images on it is scaled
-/// up to their scatter where that is larger.
-pub(super) fn covariance_with_scatter(mut noise_nm2: Array2<f64>, used_nm: &Array2<f64>) -> Array2<f64> {
-    if used_nm.nrows() >= 4 {
-        let deviations = used_nm - &location(used_nm, Combine::Mean).insert_axis(Axis(0));
-        // A common factor keeps the matrix positive definite; the mean over the modes averages its
-        // own scatter.
-        let scatter = (&deviations * &deviations).sum() / (used_nm.nrows() - 1) as f64;
-        noise_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
-    }
-    noise_nm2
 }
 
 /// The image of a fit beside its model.

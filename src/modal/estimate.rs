@@ -52,11 +52,11 @@ impl ModalFitter {
     ) -> Result<ModalEstimate> {
         let started = Instant::now();
         let fitted = self.fit_all(chain, cube, start_nm, series, control)?;
-        self.combined(chain, fitted, started)
+        self.combined(chain, fitted, !self.scene.has_changing_wavefront(), started)
     }
 
-    fn combined(&self, chain: &Chain, fitted: FittedCube, started: Instant) -> Result<ModalEstimate> {
-        let mut estimate = combine(self, fitted)?;
+    fn combined(&self, chain: &Chain, fitted: FittedCube, is_tested: bool, started: Instant) -> Result<ModalEstimate> {
+        let mut estimate = combine(self, fitted, is_tested)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
         estimate.device_failure = chain.failure().map(str::to_owned);

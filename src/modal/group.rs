@@ -108,7 +108,7 @@ pub(crate) fn estimate_group(
     let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| best.minima.len() > 2);
     let mut estimates = Vec::new();
     for (fitter, fits) in fitters.into_iter().zip(fits) {
-        let mut own = combine(&fitter, FittedCube::from_fits(fits))?;
+        let mut own = combine(&fitter, FittedCube::from_fits(fits), false)?;
         (own.is_of_group, own.device) = (true, "cpu".into());
         estimates.push((fitter, own));
     }

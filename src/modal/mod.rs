@@ -40,6 +40,7 @@ mod solve;
 pub(crate) use assess::residual::photometry;
 pub use assess::status::{ImageReport, Status};
 pub use combine::accumulator::{Accumulator, RunningEstimate};
+pub use combine::agreement::{Agreement, Verdict};
 pub use combine::combined_modes::CombinedModes;
 pub(crate) use combine::combined_modes::sigma_nm;
 pub use combine::diversity_error::{DiversityProjection, SharedError};

@@ -184,7 +184,7 @@ impl Session {
         }
         let found = self.channels.iter().map(|channel| {
             let fitted = FittedCube::from_fits(vec![channel.fits()[group].clone()]);
-            combine(channel.fitter(), fitted).map_err(|error| error.of_channel(channel.name()))
+            combine(channel.fitter(), fitted, false).map_err(|error| error.of_channel(channel.name()))
         });
         let found = found.collect::<Result<Vec<_>>>()?;
         let each: Vec<_> =

@@ -311,14 +311,13 @@ fn with_method(scene: &Scene, method: Method) -> Result<Scene> {
 /// A MAP estimate needs two images or more that differ by more than noise, and a scene that says
 /// what changes them: an AO loop or turbulence.
 fn method_for(scene: &Scene, images: &Electrons) -> (Method, String) {
-    let varies = scene.control.is_some() || scene.wavefront_sensor.is_some() || !scene.turbulence.fractions.is_empty();
     match image_changes(scene, images) {
         None => (Method::Modal, "there are fewer than two images with enough signal to compare".into()),
         Some(chi2) if chi2 < CHANGING => (
             Method::Modal,
             format!("the images do not change from one to the next (reduced χ² of their differences {chi2:.1})"),
         ),
-        Some(chi2) if !varies => (
+        Some(chi2) if !scene.has_changing_wavefront() => (
             Method::Modal,
             format!(
                 "the images change from one to the next (reduced χ² of their differences {chi2:.1}), but the scene has neither \

@@ -221,7 +221,7 @@ fn fit(
     let saturated = estimate.compared.as_ref().and_then(|compared| saturation(compared, data_e, bad));
     match report.status {
         Status::Ok | Status::Misfit => estimate.modes.covariance_nm2 = session.refine(0)?.modes.covariance_nm2,
-        Status::WrongMinimum | Status::NotConverged(_) | Status::Unusable(_) => {
+        Status::WrongMinimum | Status::Contradictory | Status::NotConverged(_) | Status::Unusable(_) => {
             // A cause says more than its effect on χ².
             estimate.refusal = saturated.clone().or_else(|| Some(report.sentence()));
         }

@@ -47,7 +47,7 @@ impl Fitted {
             error_budget: error_budget(&errors, &fitter, &found)?,
             images: outcomes.collect(),
             channels: Vec::new(),
-            status: *found.status(),
+            status: found.status_of_all(),
             reduced_chi2: found.reduced_chi2(),
             is_sequence: found.is_sequence(),
             model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),

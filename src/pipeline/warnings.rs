@@ -5,7 +5,9 @@ use super::image_changes::CHANGING;
 use super::images::counted;
 use super::outcome::ImageOutcome;
 use super::sequence::SequenceResult;
-use crate::modal::{self, DiversityProjection, ImageReport, Model, PistonInteger, RejectedPixels, Session, Status};
+use crate::modal::{
+    self, Agreement, DiversityProjection, ImageReport, Model, PistonInteger, RejectedPixels, Session, Status, Verdict,
+};
 use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
 
@@ -30,6 +32,8 @@ pub(super) fn integers_warning(integers: &[PistonInteger]) -> Option<String> {
     ))
 }
 
+/// Ranges of images that are named in a warning.
+const NAMED_RUNS: usize = 8;
 /// Images named one by one in a warning; the others are counted.
 const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
@@ -88,6 +92,7 @@ pub(super) fn modal_warnings(
     // On the images of a group there is one of all.
     if alone {
         sentences.extend(image_warnings(found, changes));
+        sentences.extend(agreement_warning(found));
     }
     sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
@@ -219,6 +224,71 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
     ))
 }
 
+/// Warning on images that are not of one wavefront.
+fn agreement_warning(found: &modal::ModalEstimate) -> Option<String> {
+    let Agreement { reduced_chi2, freedom, verdict } = &found.agreement;
+    let count = found.images.len();
+    let scatter = format!(
+        "the reduced χ² of the images' differences is {reduced_chi2:.*} ({freedom:.0} degrees of freedom), where noise gives 1",
+        if *reduced_chi2 < 10.0 { 2 } else { 0 }
+    );
+    match verdict {
+        Verdict::Untested | Verdict::OneWavefront => None,
+        Verdict::Outliers(images) => {
+            let (which, are) = (images_named(images, count), if images.len() == 1 { "is" } else { "are" });
+            let is_out = images.iter().all(|image| found.combined.clipped_images.contains(image));
+            let (were, remedy) = match (images.len() == 1, is_out) {
+                (true, true) => ("was", "left out"),
+                (false, true) => ("were", "left out"),
+                (_, false) => {
+                    ("are", "used as well: leave them out, or set estimate.combine = \"clipped-mean\", which does")
+                }
+            };
+            Some(format!(
+                "{which} {are} of another wavefront than the others, which agree with each other, and {were} {remedy} ({scatter})"
+            ))
+        }
+        Verdict::SeveralWavefronts(group) => {
+            let largest = if group.len() > 1 {
+                format!("; the largest group that agrees is of {}", images_named(group, count))
+            } else {
+                "; no two agree".into()
+            };
+            Some(format!(
+                "the images contradict each other: {scatter}{largest}. Did segments, mirror, focus or pupil move between them? Their \
+                 mean is the wavefront of none, and the error bars are scaled up to their scatter: estimate the images of one \
+                 wavefront alone"
+            ))
+        }
+        // Said with the residual that a changing wavefront leaves.
+        Verdict::Changing if sequence_warning(found).is_some() => None,
+        Verdict::Changing => Some(format!(
+            "the wavefront changes from image to image: {scatter}; error bars are from the scatter between images, and the maps are \
+             those of the mean wavefront"
+        )),
+    }
+}
+
+/// Images by their numbers from 1, consecutive ones as a range: `images 1 to 4 and 7 of 20`.
+fn images_named(images: &[usize], count: usize) -> String {
+    let mut runs: Vec<[usize; 2]> = Vec::new();
+    for &image in images {
+        match runs.last_mut() {
+            Some([_, last]) if *last + 1 == image => *last = image,
+            _ => runs.push([image, image]),
+        }
+    }
+    let named = runs.iter().take(NAMED_RUNS).map(|[first, last]| match last - first {
+        0 => format!("{}", first + 1),
+        1 => format!("{}, {}", first + 1, last + 1),
+        _ => format!("{} to {}", first + 1, last + 1),
+    });
+    let named = named.collect::<Vec<_>>().join(", ");
+    let more = if runs.len() > NAMED_RUNS { ", ..." } else { "" };
+    let noun = if images.len() == 1 { "image" } else { "images" };
+    format!("{noun} {named}{more} of {count}")
+}
+
 /// Warning on an error of the model that only the mean of the images shows.
 fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
     let chi2 = found.mean_residual_chi2;
@@ -249,7 +319,7 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
     let chi2 = image.reduced_chi2;
     let [least, most] = image.explained_chi2;
     match &image.status {
-        Status::Ok => None,
+        Status::Ok | Status::Contradictory => None,
         Status::Misfit if image.is_too_small() => {
             Some(format!("reduced χ² is {}, where noise explains {least:.2} or more: {TOO_SMALL}", shown_chi2(chi2)))
         }
@@ -362,6 +432,14 @@ mod tests {
         let names: Vec<String> = (0..84).map(|k| format!("mode-{k}")).collect();
         let sentence = unknown_warning(&names.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
         assert!(sentence.contains("84 combinations") && sentence.contains("mode-0; mode-1; mode-2; and 81 more"));
+    }
+
+    #[test]
+    fn images_are_named_by_ranges() {
+        assert_eq!(images_named(&[3], 7), "image 4 of 7");
+        assert_eq!(images_named(&[0, 1, 2, 4, 6, 7], 20), "images 1 to 3, 5, 7, 8 of 20");
+        let alternate: Vec<usize> = (0..40).step_by(2).collect();
+        assert!(images_named(&alternate, 40).ends_with("13, 15, ... of 40"));
     }
 
     #[test]

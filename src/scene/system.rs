@@ -134,6 +134,13 @@ impl System {
         self.content.has_mirror
     }
 
+    /// Whether the scene says what changes the wavefront from image to image: an AO loop, its
+    /// sensor, or layers of turbulence. The statistics of turbulence alone order the modes of a
+    /// mirror.
+    pub fn has_changing_wavefront(&self) -> bool {
+        self.control.is_some() || self.wavefront_sensor.is_some() || !self.turbulence.fractions.is_empty()
+    }
+
     /// Purpose for which the scene was read.
     pub(crate) fn purpose(&self) -> Purpose {
         self.content.purpose

@@ -52,7 +52,8 @@ static void names(void)
     CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_NOT_CONVERGED), "NOT_CONVERGED") == 0);
     CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_UNUSABLE), "UNUSABLE") == 0);
     CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_DEADLINE), "DEADLINE") == 0);
-    CHECK(strcmp(cophase_status_name(106), "UNKNOWN") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_CONTRADICTORY), "CONTRADICTORY") == 0);
+    CHECK(strcmp(cophase_status_name(107), "UNKNOWN") == 0);
     CHECK(strcmp(cophase_status_name(-1), "UNKNOWN") == 0);
 }
 

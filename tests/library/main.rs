@@ -26,6 +26,7 @@ mod moved_reference;
 mod night;
 mod night_channels;
 mod observation;
+mod one_wavefront;
 mod optical_gains;
 mod orientation;
 mod petals;

@@ -82,7 +82,7 @@ class Estimate(Handle):
     info : namespace
         Sizes, status and figures: ``images``, ``used`` (images that were combined), ``clipped`` (left out as outliers),
         ``modes``, ``segment_modes`` (they come first), ``samples``, ``error_terms``, ``warnings``; ``method``
-        (``"modal"`` or ``"map"``), ``policy``, ``status`` (the worst of an image that counts for the whole),
+        (``"modal"`` or ``"map"``), ``policy``, ``status`` (the worst of an image that counts for the whole, or ``CONTRADICTORY``),
         ``is_sequence`` (error bars are from the scatter between images); of a MAP estimate ``iterations``,
         ``has_settled``, ``ao_knowledge`` (of the adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``,
         ``"telemetry"``); ``precision``; ``evaluations``; ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm``

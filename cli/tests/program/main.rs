@@ -21,6 +21,7 @@ mod manual;
 mod memory;
 mod observe;
 mod odd_images;
+mod one_wavefront;
 mod orientation;
 mod outputs;
 mod parts;

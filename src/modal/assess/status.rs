@@ -1,5 +1,6 @@
 //! Status of each image: from its own residual, and in a sequence also from those of the others.
 
+use crate::Error;
 use crate::modal::assess::chi2::{ReducedChi2, nuisances};
 use crate::modal::assess::tilts::Tilts;
 use crate::modal::combine::sequence::{SEQUENCE, distances, outliers};
@@ -29,6 +30,8 @@ pub enum Status {
     /// more it must also be an outlier: turbulence that the modes do not span leaves the same
     /// residual in every image.
     WrongMinimum,
+    /// Of an estimate alone: its images are of several wavefronts, so that their mean is of none.
+    Contradictory,
     /// The optimiser stopped before it converged.
     NotConverged(StopReason),
     /// The image could not be used.
@@ -47,6 +50,7 @@ impl Status {
             Status::Ok => "ok",
             Status::Misfit => "misfit",
             Status::WrongMinimum => "wrong-minimum",
+            Status::Contradictory => "contradictory",
             Status::NotConverged(_) => "not-converged",
             Status::Unusable(_) => "unusable",
         }
@@ -58,8 +62,9 @@ impl Status {
             Status::Ok => 0,
             Status::Misfit => 1,
             Status::WrongMinimum => 2,
-            Status::NotConverged(_) => 3,
-            Status::Unusable(_) => 4,
+            Status::Contradictory => 3,
+            Status::NotConverged(_) => 4,
+            Status::Unusable(_) => 5,
         }
     }
 
@@ -188,6 +193,7 @@ impl ImageReport {
                 "the fit is probably in a wrong minimum: reduced chi-square {chi2:.0}, where up to {WRONG_MINIMUM} is \
                  plausible"
             ),
+            Status::Contradictory => "the images are of several wavefronts".into(),
             Status::NotConverged(reason) => {
                 format!("the fit did not converge in {} evaluations: {reason}", self.evaluations)
             }
@@ -316,6 +322,17 @@ impl Selection {
     }
 }
 
+/// The error where no image was fitted.
+pub(in crate::modal) fn nothing_fitted(reports: &[&ImageReport]) -> Error {
+    let reason = match reports.first().map(|report| &report.status) {
+        Some(Status::NotConverged(reason)) => reason.to_string(),
+        Some(Status::Unusable(refusal)) => refusal.to_string(),
+        Some(other) => other.word().into(),
+        None => "there is none".into(),
+    };
+    Error::Image(format!("no image could be fitted: {reason}"))
+}
+
 /// Which of a few fits are used: those that converged to a plausible minimum; where there is none,
 /// suspected wrong minima; where none converged, those with a finite χ². Their status tells them
 /// apart.
@@ -324,7 +341,7 @@ fn best_kind(reports: &[&ImageReport]) -> Vec<usize> {
         Status::Ok | Status::Misfit => Some(0),
         Status::WrongMinimum => Some(1),
         Status::NotConverged(_) if report.reduced_chi2.is_finite() => Some(2),
-        Status::NotConverged(_) | Status::Unusable(_) => None,
+        Status::Contradictory | Status::NotConverged(_) | Status::Unusable(_) => None,
     };
     let Some(best) = reports.iter().filter_map(|report| rank(report)).min() else { return Vec::new() };
     reports.iter().enumerate().filter(|(_, report)| rank(report) == Some(best)).map(|(i, _)| i).collect()

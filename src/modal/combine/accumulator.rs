@@ -4,8 +4,9 @@ use crate::modal::assess::status::{ImageReport, Selection, assess_together};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::diversity_error::check_reachable;
 use crate::modal::combine::global_motions::GlobalMotions;
+use crate::modal::combine::is_sequence;
 use crate::modal::combine::sequence::{scatter, shrinkage_of_variance};
-use crate::modal::combine::{centre, covariance_with_scatter, is_sequence};
+use crate::modal::combine::single_image::{centre, covariance_with_scatter};
 use crate::modal::fitter::ModalFitter;
 use crate::modal::session::Session;
 use crate::modes::Group;
@@ -16,7 +17,8 @@ use std::sync::Arc;
 
 /// Keeps the coefficients of the last images, and combines them by the rules of
 /// [`ModalFitter::estimate`]: up to seven images are assessed one by one, eight and more as a
-/// sequence. Outliers are left out as the scene says.
+/// sequence. Outliers are left out as the scene says. Whether they are of one wavefront is not
+/// tested.
 pub struct Accumulator {
     fitter: Arc<ModalFitter>,
     motions: GlobalMotions,

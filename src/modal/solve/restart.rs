@@ -143,6 +143,6 @@ fn needs_restart(report: &ImageReport, misfits: bool) -> bool {
         Status::WrongMinimum => true,
         Status::Ok | Status::Misfit => misfits && report.reduced_chi2 > report.suspicious_chi2,
         Status::NotConverged(reason) => reason == StopReason::EvaluationLimit,
-        Status::Unusable(_) => false,
+        Status::Contradictory | Status::Unusable(_) => false,
     }
 }

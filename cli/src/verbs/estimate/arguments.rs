@@ -38,12 +38,14 @@ with the keys; --trust scene or --trust file decides, and a key of --set or --ga
 scene has no read noise, the card's is used, else the scatter of the image's border.
 
 The error bars of eight images or more are from the scatter between them, and the clipped \
-mean (the default; --set estimate.combine=mean or median) leaves outliers out.
+mean (the default; --set estimate.combine=mean or median) leaves outliers out. Images that differ by more than their noise, and \
+which no AO loop or turbulence of the scene lets differ, are left out where they are less than a third, with a warning; else the \
+status is contradictory.
 
 --json prints: channels (their names), images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, \
 phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi2, evaluations (of the objective, all \
 images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
-unusable), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
+unusable; contradictory where the images are of several wavefronts), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
 iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts); null \
 where a key does not apply.";
 
