@@ -52,12 +52,13 @@ pub struct cophase_correction_report {
 /// COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a mode is held.
 ///
 /// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the
-/// wavelength (none where the whole wavelengths are known). The limits of the controllers' channels
-/// hold in addition.
+/// wavelength (none where the whole wavelengths are known), or commands.max_step_nm of the scene.
+/// The limits of the controllers' channels hold in addition.
 /// path: FITS file to write, or text for a name that ends in .txt, UTF-8; NULL for none.
 /// report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
 ///
-/// COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons;
+/// COPHASE_BAD_VALUE for a negative limit, for segment modes that are not pistons, and for a piston
+/// that would move by more than commands.max_step_nm (unset and with one wavelength: half of it);
 /// COPHASE_BAD_FILE for a controller's table or matrix that cannot be read or does not fit.
 /// COPHASE_BUSY while other threads read the estimate.
 #[unsafe(no_mangle)]

@@ -11,7 +11,7 @@ mod errors;
 mod file;
 mod mirror;
 
-pub use errors::{CorrectableErrors, NcpaModes};
+pub use errors::{CorrectableErrors, NcpaModes, SegmentLimits};
 
 use super::controller::{Commands, Moved, commands};
 use crate::ao::actuators_in_use;
@@ -92,7 +92,8 @@ impl Corrections {
     /// actuators, and the limit of the errors for segments).
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive; [`Error::File`] for a controller that
+    /// [`Error::Value`] for a limit that is not positive, and for a piston beyond the largest step
+    /// that is sent; [`Error::File`] for a controller that
     /// does not fit; those of building the scene's loop.
     pub fn new(scene: &System, errors: &CorrectableErrors, limit_nm: Option<f64>) -> Result<Self> {
         if let Some(limit_nm) = limit_nm.filter(|limit_nm| !(limit_nm.is_finite() && *limit_nm > 0.0)) {
@@ -101,12 +102,14 @@ impl Corrections {
         let telescope = Telescope::new(scene)?;
         let segments = &telescope.pupil.segments[..errors.pistons_nm.len()];
         let count = segments.len();
-        let segment_limit_nm = limit_nm.unwrap_or(errors.segment_limit_nm);
+        let segment_limit_nm = limit_nm.unwrap_or(errors.limits.cut_nm);
         let policy = CorrectionPolicy {
             stroke_limit_nm: Some(segment_limit_nm).filter(|limit_nm| limit_nm.is_finite()),
             ..CorrectionPolicy::of_scene(scene)
         };
         let errors::Decision { correction, segments_nm: mut estimate_nm } = errors.decide(&policy, segments)?;
+        let is_moved = |segment: usize| correction.coefficients_nm[segment] != 0.0;
+        errors.limits.check(&estimate_nm[..count], is_moved, policy.gain)?;
         let of_segments = count + errors.tilts_nm.len();
         let tilt_estimate_nm = estimate_nm[count..of_segments].to_vec();
         estimate_nm.truncate(count);

@@ -18,7 +18,7 @@ mod slope_regression;
 pub use closed_loop::ClosedLoopResponse;
 pub use controller::{Command, Commands};
 pub use correction_file::SentCorrections;
-pub use corrections::{CorrectableErrors, Corrections, ModeCorrection, NcpaModes};
+pub use corrections::{CorrectableErrors, Corrections, ModeCorrection, NcpaModes, SegmentLimits};
 pub use sensor_model::SensorModel;
 pub use slope_information::SlopeInformation;
 pub use slope_regression::{ACCEPTED_GAIN, SlopeRegression, TelemetryFault, USUAL_GAIN};

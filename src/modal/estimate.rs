@@ -99,7 +99,7 @@ impl ModalFitter {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits, series)?;
         }
         for fit in &mut fits {
-            pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, start_of_all_nm, &self.model);
+            pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &flat_nm, &self.model);
         }
         Ok(FittedCube::from_fits(fits))
     }

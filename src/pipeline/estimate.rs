@@ -5,7 +5,7 @@ use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
 use crate::imaging::Precision;
-use crate::loop_response::Corrections;
+use crate::loop_response::{Corrections, SegmentLimits};
 use crate::modal::{CombinedModes, FittedImage, ModalFitter, PistonInteger, StaticMaps, Status};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
@@ -336,25 +336,25 @@ impl Estimate {
     /// `[commands]`, also in the terms of the controllers that it describes. No increment is larger
     /// than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the
     /// wavelength (half of the distance to the next fringe), and no limit where the whole
-    /// wavelengths are known. Of a modal estimate tips and tilts of segments are not corrected, and
-    /// it has no reference slopes.
+    /// wavelengths are known, or `commands.max_step_nm`. Of a modal estimate tips and tilts of
+    /// segments are not corrected, and it has no reference slopes.
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive, for segment modes from a file, which are
-    /// not pistons, and for steps at edges where segments are tilted; [`Error::File`] for a
-    /// controller's table or matrix that cannot be read or does not fit.
+    /// [`Error::Value`] for a limit that is not positive, for a piston that would move by more than
+    /// `commands.max_step_nm` (unset and with one wavelength: half of it), for segment modes from a
+    /// file, which are not pistons, and for steps at edges where segments are tilted;
+    /// [`Error::File`] for a controller's table or matrix that cannot be read or does not fit.
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
-        let segment_limit_nm =
-            if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
+        let limits = SegmentLimits::of_scene(&self.scene, !self.integers.is_empty());
         let mut corrections = match &self.method {
-            MethodResult::FullPhase(map) => map.last()?.corrections(&self.scene, limit_nm, segment_limit_nm)?,
+            MethodResult::FullPhase(map) => map.last()?.corrections(&self.scene, limit_nm, limits)?,
             MethodResult::Modal(modal) => {
                 let modes = ModalErrors {
                     scene: &self.scene,
                     model: modal.fitter.model(),
                     coefficients_nm: &self.modes.coefficients_nm,
                     covariance_nm2: self.modes.covariance_nm2.view(),
-                    segment_limit_nm,
+                    limits,
                 };
                 modes.corrections(limit_nm)?
             }

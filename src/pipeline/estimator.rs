@@ -9,6 +9,7 @@ use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
 use super::policy::Policy;
+use super::remarks::modulo_wavelength_remark;
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::{channels, full_phase};
 use crate::control::{Control, Stage};
@@ -137,6 +138,7 @@ impl Estimator {
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
+        estimate.remarks.extend(modulo_wavelength_remark(&estimate));
         estimate.warnings.splice(0..0, notes);
         estimate.remarks.splice(0..0, remarks);
         compare_with_truth(&mut estimate, truth);

@@ -14,7 +14,7 @@ use super::modal_errors::{ModalErrors, change_by};
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
 use crate::control::Control;
-use crate::loop_response::Corrections;
+use crate::loop_response::{Corrections, SegmentLimits};
 use crate::modal::{
     CombinedModes, FittedImage, ImageReport, ModalFitter, Session, SessionOptions, Status, check_frame_shape,
 };
@@ -170,8 +170,13 @@ impl FrameEstimator {
                 "{given} modes with a covariance of {rows}x{columns} were given, where {modes} modes are needed"
             )));
         }
-        let segment_limit_nm = self.scene.image.wavelength_nm / 4.0;
-        Ok(ModalErrors { scene: &self.scene, model, coefficients_nm, covariance_nm2, segment_limit_nm })
+        Ok(ModalErrors {
+            scene: &self.scene,
+            model,
+            coefficients_nm,
+            covariance_nm2,
+            limits: SegmentLimits::of_scene(&self.scene, false),
+        })
     }
 }
 

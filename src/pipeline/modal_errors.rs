@@ -2,7 +2,7 @@
 
 use crate::ao::actuators_in_use;
 use crate::linear_algebra::SpdInverse;
-use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
+use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes, SegmentLimits};
 use crate::modal::{self, sigma_nm};
 use crate::modes::{Group, Samples};
 use crate::scene::Scene;
@@ -18,8 +18,8 @@ pub(super) struct ModalErrors<'a> {
     pub(super) coefficients_nm: &'a [f64],
     /// Their covariance.
     pub(super) covariance_nm2: ArrayView2<'a, f64>,
-    /// Largest correction of a piston, nm.
-    pub(super) segment_limit_nm: f64,
+    /// Limits of the corrections of pistons.
+    pub(super) limits: SegmentLimits,
 }
 
 impl ModalErrors<'_> {
@@ -31,7 +31,7 @@ impl ModalErrors<'_> {
     /// Which modes are corrected, and by how much, without anything of mirror and controllers.
     pub(super) fn correction(&self) -> Result<Correction> {
         let policy = CorrectionPolicy {
-            stroke_limit_nm: Some(self.segment_limit_nm).filter(|limit_nm| limit_nm.is_finite()),
+            stroke_limit_nm: Some(self.limits.cut_nm).filter(|limit_nm| limit_nm.is_finite()),
             ..CorrectionPolicy::of_scene(self.scene)
         };
         let segments = &self.model.telescope.pupil.segments[..self.model.pistons()];
@@ -66,7 +66,7 @@ impl ModalErrors<'_> {
             tilts_nm: &[],
             segment_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
             has_uncertain_plane: false,
-            segment_limit_nm: self.segment_limit_nm,
+            limits: self.limits,
             ncpa_nm: &self.coefficients_nm[segment_modes..],
             ncpa_sigma_nm: &sigma_nm(self.covariance_nm2)[segment_modes..],
             ncpa: NcpaModes::Maps(&map_nm),

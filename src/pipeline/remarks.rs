@@ -1,5 +1,6 @@
 //! Remarks on an estimate: information that does not question the result.
 
+use super::estimate::Estimate;
 use crate::Result;
 use crate::modal::DiversityProjection;
 use crate::scene::{Aperture, Scene};
@@ -20,6 +21,21 @@ pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -
             0.01 * diversity.rms_nm
         )
     })
+}
+
+/// Remark on pistons that one wavelength determines up to whole ones, where one is beyond a quarter
+/// of the wavelength from the mean.
+pub(super) fn modulo_wavelength_remark(estimate: &Estimate) -> Option<String> {
+    let modal = estimate.modal().filter(|_| estimate.integers.is_empty())?;
+    let wavelength_nm = modal.fitter.model().optics.parts().wavelength_nm;
+    let pistons_nm = &estimate.modes.coefficients_nm[..modal.fitter.model().pistons()];
+    let farthest = pistons_nm.iter().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+    let (segment, nm) = farthest.filter(|(_, nm)| nm.abs() > wavelength_nm / 4.0)?;
+    Some(format!(
+        "Pistons are modulo the wavelength of {wavelength_nm:.0} nm, of which one wavelength does not show whole ones: those of \
+         the smallest spread are given. Segment {segment} is {nm:.0} nm from the mean, farther than any other; a second wavelength ([[image.channel]]) \
+         determines them."
+    ))
 }
 
 /// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror

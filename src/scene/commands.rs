@@ -16,6 +16,10 @@ section! {
         gain: f64, above(0.0, 1.0), default(1.0);
         /// A mode that is smaller than so many of its error bars is left as it is.
         deadband_sigma: f64, between(0.0, 1e3), default(1.0);
+        /// Largest correction of a segment's piston: where one is larger, none is made. Corrections
+        /// beyond a quarter of the wavelength are cut to that where it is unset and the images have
+        /// one wavelength.
+        max_step_nm: Option<f64>, above(0.0, 1e6), unset("half of the wavelength where the images have one wavelength; no limit where two determine the whole wavelengths");
         /// What moving segments minimises: "least-squares" the sum of the squares of all segment
         /// modes, "edge-minimising" the steps at the edges that neighbours share, of pistons alone.
         /// Both are the same where all segments move.

@@ -6,7 +6,7 @@ use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::segment_tilts::SegmentTilts;
 use super::static_errors::StaticErrors;
 use crate::Result;
-use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
+use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes, SegmentLimits};
 use crate::modal::{CombinedModes, DiversityProjection, StaticMaps, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::System;
@@ -87,12 +87,11 @@ impl Iteration {
     }
 
     /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm`
-    /// where it is given, and no piston or tilt beyond `segment_limit_nm` where it is not: see
-    /// [`Corrections::new`].
+    /// where it is given, and no piston or tilt beyond `limits`: see [`Corrections::new`].
     ///
     /// # Errors
     /// Those of [`Corrections::new`].
-    pub fn corrections(&self, scene: &System, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
+    pub fn corrections(&self, scene: &System, limit_nm: Option<f64>, limits: SegmentLimits) -> Result<Corrections> {
         let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
         let segments = self.errors.segment_modes();
         let errors = CorrectableErrors {
@@ -100,7 +99,7 @@ impl Iteration {
             tilts_nm: &self.errors.tilts_nm,
             segment_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
             has_uncertain_plane: true,
-            segment_limit_nm,
+            limits,
             ncpa_nm: &self.errors.ncpa_nm,
             ncpa_sigma_nm: &self.modes().sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),

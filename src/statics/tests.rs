@@ -7,6 +7,7 @@ use super::{Iteration, StaticsSettings, estimate_static_errors};
 use crate::Result;
 use crate::ao::{LoopFrame, Recorder, Schedule, Shot, Simulator};
 use crate::control::Control;
+use crate::loop_response::SegmentLimits;
 use crate::metrics::residual_nm;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene, System};
@@ -293,7 +294,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     assert!(beyond.further_images([f64::INFINITY, 49.0]).is_err());
 
     // The focus is below its error bar, and no other mode is.
-    let corrected = |iteration: &Iteration| iteration.corrections(known, None, f64::INFINITY).unwrap();
+    let corrected = |iteration: &Iteration| iteration.corrections(known, None, SegmentLimits::NONE).unwrap();
     let [all, but_focus] = [&sure, &unsure].map(corrected);
     assert_eq!(all.corrected_modes, but_focus.corrected_modes + 1);
     assert_eq!(all.pistons_nm, but_focus.pistons_nm);

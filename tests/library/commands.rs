@@ -258,3 +258,54 @@ fn segment_matrix_gives_commands_and_needs_all_columns() {
     let sentence = found.corrections(None).unwrap_err().to_string();
     assert_facts(&sentence, "21 rows | 8 columns | 7 segments");
 }
+
+#[test]
+fn a_piston_a_wavelength_away_is_given_near_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = with_commands(folder.path(), "");
+    let areas_mean = |nm: &[f64]| nm.iter().sum::<f64>() / nm.len() as f64;
+    let none = Array1::zeros(actuators_in_use(&scene, &Telescope::new(&scene).unwrap()).unwrap().len());
+    for (segment, periods) in [(3, 1.0), (5, -2.0)] {
+        let mut pistons_nm = PISTONS_NM;
+        pistons_nm[segment] += periods * scene.image.wavelength_nm;
+        write_truth(&scene, &pistons_nm, &none);
+        let found = estimate(&scene).unwrap();
+        assert!(found.is_sound(), "{:?}", found.warnings);
+        for (nm, truth) in found.modes.coefficients_nm.iter().zip(PISTONS_NM) {
+            assert!((nm - truth + areas_mean(&PISTONS_NM)).abs() < 5.0, "{nm} {truth}");
+        }
+        assert!(found.remarks.iter().all(|remark| !remark.contains("modulo")), "{:?}", found.remarks);
+    }
+}
+
+#[test]
+fn a_segment_is_not_sent_to_another_fringe() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = with_commands(folder.path(), "");
+    let none = Array1::zeros(actuators_in_use(&scene, &Telescope::new(&scene).unwrap()).unwrap().len());
+    // 700 nm from the mean of all: more than a quarter of the wavelength, less than half of it.
+    let mut pistons_nm = [0.0; 7];
+    pistons_nm[2] = 700.0 * 7.0 / 6.0;
+    write_truth(&scene, &pistons_nm, &none);
+    let found = estimate(&scene).unwrap();
+    let remarks: Vec<&String> = found.remarks.iter().filter(|remark| remark.contains("modulo")).collect();
+    assert_eq!(remarks.len(), 1);
+    assert_facts(remarks[0], "wavelength of 2169 nm | Segment 2 | 700 nm | second wavelength");
+    let moved = |estimate: &Estimate| estimate.corrections(None).map(|corrections| corrections.pistons_nm[2]);
+    assert_eq!(moved(&found).unwrap(), -scene.image.wavelength_nm / 4.0);
+    let by = |step_nm: &str| {
+        let scene = found.scene.with(&[("commands.max_step_nm", step_nm)]).unwrap();
+        moved(&Estimate { scene, ..found.clone() })
+    };
+    assert!((by("1000").unwrap() + 700.0).abs() < 5.0);
+    let refused = by("600").unwrap_err();
+    assert!(matches!(refused, Error::Value(_)));
+    assert_facts(
+        &refused.to_string(),
+        "segment 2 would be moved by - | 600 | commands.max_step_nm | second wavelength",
+    );
+    // A wavelength of the wrong sign, as another program or a start may give it.
+    let mut wrong = found.clone();
+    wrong.modes.coefficients_nm[2] -= scene.image.wavelength_nm;
+    assert_facts(&moved(&wrong).unwrap_err().to_string(), "segment 2 | 1084");
+}

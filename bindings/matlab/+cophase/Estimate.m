@@ -144,7 +144,9 @@ classdef Estimate < cophase.Handle
             %   lower them are held, and so are tips and tilts of segments of a modal estimate.
             %
             %   c = e.correct(limit_nm) has no larger command; without it, or with [], the limit is the mirror's stroke
-            %   and, for segments, a quarter of the wavelength (none where the whole wavelengths are known).
+            %   and, for segments, a quarter of the wavelength (none where the whole wavelengths are known),
+            %   or commands.max_step_nm of the scene. A piston that would move by more than that (unset and with one wavelength:
+            %   half of it) is an error, BAD_VALUE.
             %   c = e.correct(limit_nm, path) also writes a FITS file, or text for a name that ends in .txt.
             %
             %   Example:

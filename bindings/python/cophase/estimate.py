@@ -194,14 +194,15 @@ class Estimate(Handle):
         ----------
         limit_nm : float, optional
             Largest command, nm; by default the mirror's stroke and, for segments, a quarter of the wavelength (no limit
-            where the whole wavelengths are known). The limits of the controllers' channels hold in addition.
+            where the whole wavelengths are known), or ``commands.max_step_nm`` of the scene. The limits of the controllers' channels hold in addition.
         path : path, optional
             FITS file to write; text for a name that ends in ``.txt``.
 
         Raises
         ------
         BadValueError
-            For a negative limit, and for segment modes that are not pistons.
+            For a negative limit, for segment modes that are not pistons, and for a piston that would move by more than
+            ``commands.max_step_nm`` (unset and with one wavelength: half of it).
         BadFileError
             For a controller's table or matrix that cannot be read or does not fit.
         BusyError

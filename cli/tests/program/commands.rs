@@ -43,3 +43,11 @@ fn commands_are_written_as_text_and_drawn() {
     desk.refuses(&[&ESTIMATE[..], &outputs].concat(), &["wires.txt", "no channel", "segment 1"]);
     assert!(!desk.path("c.txt").exists() && !desk.path("est.fits").exists());
 }
+
+#[test]
+fn a_step_beyond_the_largest_is_refused() {
+    let desk = Desk::with_images(&[]);
+    let estimate =
+        ["estimate", "images.fits", "-o", "est.fits", "--commands", "c.txt", "--set", "commands.max_step_nm=20"];
+    desk.refuses(&estimate, &["segment ", "20 is the largest step", "commands.max_step_nm"]);
+}

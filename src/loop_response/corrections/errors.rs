@@ -1,10 +1,11 @@
 //! Errors that are to be corrected, and which of their modes are: the scene's policy.
 
-use crate::Result;
 use crate::loop_response::segment_layout::{common_directions, edges, projection_without};
 use crate::modes::SmoothBasis;
 use crate::pupil::Segment;
+use crate::scene::System;
 use crate::tracking::{Correctable, Correction, CorrectionPolicy, correction};
+use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
 
 /// Estimated static errors, as far as corrections need them.
@@ -20,8 +21,8 @@ pub struct CorrectableErrors<'a> {
     /// optics: it is then a block of its own, which is left where its correction is not expected to
     /// lower the error.
     pub has_uncertain_plane: bool,
-    /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
-    pub segment_limit_nm: f64,
+    /// Limits of the corrections of segments.
+    pub limits: SegmentLimits,
     /// Coefficients of the NCPA, nm.
     pub ncpa_nm: &'a [f64],
     /// Their error bars, nm.
@@ -34,6 +35,51 @@ pub struct CorrectableErrors<'a> {
     /// `[mode, slope]`, mas: turbulence blurs the spots of lenslets, whose slopes then change less.
     /// `None` where no slopes were measured.
     pub reference_mas_per_nm: Option<&'a Array2<f64>>,
+}
+
+/// Limits of the corrections of segments.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SegmentLimits {
+    /// Largest correction of a piston, or of a tilt, to which larger ones are cut unless a caller
+    /// names another, nm.
+    pub cut_nm: f64,
+    /// Largest correction of a piston; a larger one is refused, nm.
+    pub refused_nm: f64,
+}
+
+impl SegmentLimits {
+    /// No limits.
+    pub const NONE: Self = Self { cut_nm: f64::INFINITY, refused_nm: f64::INFINITY };
+
+    /// The limits of `scene`: by `commands.max_step_nm`, and where that is unset and the whole
+    /// wavelengths of the pistons are not known by the wavelength. A quarter of it is half of the
+    /// distance to the next fringe.
+    pub fn of_scene(scene: &System, are_integers_known: bool) -> Self {
+        let wavelength_nm = scene.image.wavelength_nm;
+        match scene.commands.max_step_nm {
+            Some(step_nm) => Self { cut_nm: step_nm, refused_nm: step_nm },
+            None if are_integers_known => Self::NONE,
+            None => Self { cut_nm: wavelength_nm / 4.0, refused_nm: wavelength_nm / 2.0 },
+        }
+    }
+
+    /// Refuses a piston that moves by more than `refused_nm`. `pistons_nm` are the estimates, of
+    /// which the part `gain` is corrected where `is_moved`.
+    ///
+    /// # Errors
+    /// [`Error::Value`].
+    pub(super) fn check(&self, pistons_nm: &[[f64; 2]], is_moved: impl Fn(usize) -> bool, gain: f64) -> Result<()> {
+        let largest = (0..pistons_nm.len()).filter(|&segment| is_moved(segment)).map(|k| (k, gain * pistons_nm[k][0]));
+        match largest.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) {
+            Some((segment, nm)) if nm.abs() > self.refused_nm => Err(Error::Value(format!(
+                "segment {segment} would be moved by {:.0} nm of wavefront, where {:.0} is the largest step that is sent \
+                 (commands.max_step_nm; by default half of the wavelength where there is one, which does not show whole ones): take images in \
+                 a second wavelength, or allow the step by commands.max_step_nm",
+                -nm, self.refused_nm
+            ))),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Modes of the NCPA.
@@ -156,7 +202,7 @@ mod tests {
                 tilts_nm: &[],
                 segment_covariance_nm2: covariance_nm2.view(),
                 has_uncertain_plane,
-                segment_limit_nm: f64::INFINITY,
+                limits: SegmentLimits::NONE,
                 ncpa_nm: &[],
                 ncpa_sigma_nm: &[],
                 ncpa: NcpaModes::Maps(&map_nm),

@@ -4,7 +4,7 @@ use super::{KnownWavefronts, SimulatedWavefronts, run, run_with};
 use crate::ao::Simulator;
 use crate::control::Control;
 use crate::linear_algebra::SpdInverse;
-use crate::loop_response::ClosedLoopResponse;
+use crate::loop_response::{ClosedLoopResponse, SegmentLimits};
 use crate::metrics::residual_nm;
 use crate::modes::{SegmentModes, tilt_frames};
 use crate::pupil::Pupil;
@@ -134,7 +134,7 @@ fn tilts_are_estimated_where_they_are_significant() {
 
     // Corrections leave what the estimate leaves: tilts that exceed their error bars, and no plane
     // is taken off the pistons alone.
-    let corrected = adopted.corrections(tilted.0.scene(), None, f64::INFINITY).unwrap();
+    let corrected = adopted.corrections(tilted.0.scene(), None, SegmentLimits::NONE).unwrap();
     assert_eq!((corrected.tilts_nm.len(), corrected.tilt_estimate_nm.len(), corrected.limited), (14, 14, 0));
     let estimates = corrected.estimate_nm.iter().chain(&corrected.tilt_estimate_nm).zip(segments_nm);
     assert!(estimates.into_iter().all(|([nm, sigma_nm], wanted)| (nm - wanted).abs() < 1e-12 && *sigma_nm > 0.0));
