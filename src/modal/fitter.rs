@@ -14,7 +14,7 @@ use crate::modal::model::recipe::Recipe;
 use crate::modal::solve::engine::FitTask;
 use crate::modal::solve::metrics::Metrics;
 use crate::modes::Direction;
-use crate::scene::{Method, PupilScene, System};
+use crate::scene::{Grouping, Method, PupilScene, System};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
@@ -90,6 +90,21 @@ pub(super) fn refuse_full_phase(scene: &System) -> Result<()> {
     }
 }
 
+/// Refuses a scene whose images are fitted together, which a fitter of single images would ignore.
+///
+/// # Errors
+/// [`Error::Scene`].
+pub(super) fn refuse_group(scene: &System) -> Result<()> {
+    match scene.estimate.group {
+        Grouping::Auto | Grouping::Each => Ok(()),
+        Grouping::All => Err(Error::Scene(
+            "estimate.group = \"all\" fits all images together, which a model and its sessions do not do: leave it out, or give this scene to \
+             the full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)"
+                .into(),
+        )),
+    }
+}
+
 /// Whether two scenes have the same Karhunen-Loève basis.
 pub(super) fn same_basis(one: &System, other: &System) -> bool {
     let telescope = |scene: &System| {
@@ -148,6 +163,7 @@ impl ModalFitter {
         refuse_budget(scene)?;
         refuse_fit_optics(scene)?;
         refuse_full_phase(scene)?;
+        refuse_group(scene)?;
         let model = Model::with_scene_basis(scene, &recipe, native, &scene_basis)?;
         Ok(Self { scene_basis, ..Self::from_model(scene, recipe, model)? })
     }

@@ -28,7 +28,7 @@ mod unknowns;
 use crate::control::{Control, Stage};
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
 use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::combine::joint::JointEstimate;
+use crate::modal::combine::joint::{JointEstimate, amplitude_of, fitted_amplitude};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::combine::{ModalEstimate, combine, with_prior};
 use crate::modal::estimate::image_fits::FittedCube;
@@ -66,13 +66,6 @@ pub(crate) struct GroupEstimate {
     pub(crate) most_different: Option<([usize; 2], f64)>,
 }
 
-/// The word of `estimate.fit_optics` that the amplitude of the diversities of `scene` is fitted by;
-/// `None` where it is known.
-fn fitted_amplitude(scene: &System) -> Option<Optic> {
-    let words = &scene.estimate.fit_optics;
-    [Optic::DEFOCUS, Optic::DIVERSITY].into_iter().find(|optic| words.contains(optic))
-}
-
 /// Fits the images of all `channels` of `scene` together; `near_nm` are the modes that some of them
 /// show alone.
 ///
@@ -89,11 +82,11 @@ pub(crate) fn estimate_group(
     check_modes(&channels)?;
     let amplitude = fitted_amplitude(scene);
     let mut fits = channels.iter().map(|channel| channel.fitter.prepared(&channel.cube)).collect::<Result<Vec<_>>>()?;
-    let images = fits.iter().map(Vec::len).sum();
-    control.enter(Stage::Fitting, images);
+    control.enter(Stage::Fitting, 0);
     let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
     let mut group = Group::new(&own, &fits, amplitude.is_some())?;
-    let (best, minima) = fit_from_all(&mut group, near_nm, control)?;
+    let (mut best, minima) = fit_from_all(&mut group, near_nm, control)?;
+    group.gather_pistons(&mut best);
     control.enter(Stage::Combining, 0);
     let normal = Normal::new(&mut group, &best)?;
     group.write(&best, &mut fits);
@@ -190,8 +183,7 @@ impl Normal {
         let covariance_nm2 = first.motions.removed_from(&own) * inflation;
         let combined = with_prior(&first.model, CombinedModes { coefficients_nm, covariance_nm2 })?;
         let defocus = amplitude.map(|optic| {
-            let of_scene = |fitter: &ModalFitter| optic.parameters().first().map_or(1.0, |one| one.get(&fitter.scene));
-            let value = fitters.iter().map(of_scene).find(|value| *value != 0.0).unwrap_or(1.0);
+            let value = amplitude_of(optic, fitters.iter()).unwrap_or(1.0);
             let factor = 1.0 + best.amplitude(group);
             let sigma = (self.covariance[[modes, modes]] * inflation).sqrt() / group.amplitude_unit_nm();
             FittedOptic {

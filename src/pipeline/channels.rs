@@ -4,7 +4,6 @@
 use super::consistency::Electrons;
 use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
 use super::explain::explain;
-use super::group::{self, is_group};
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{Extension, Selected};
@@ -13,7 +12,7 @@ use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
 use crate::control::{Control, Stage};
 use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, joint};
-use crate::scene::{Optic, Scene, Sections};
+use crate::scene::{Grouping, Optic, Scene, Sections};
 use crate::statics::ErrorTerm;
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -55,15 +54,6 @@ pub(super) fn estimate(
     channels: &[ChannelImages],
     series: Option<&mut [FitSeries]>,
 ) -> Result<Estimate> {
-    if is_group(scene, policy, channels)? {
-        if series.is_some() {
-            return Err(Error::Scene(format!(
-                "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
-                scene.name()
-            )));
-        }
-        return group::estimate(scene, policy, control, channels);
-    }
     let all: Vec<&ChannelImages> = channels.iter().collect();
     let own = Channels::new(scene, policy, control, &all)?;
     if let [ChannelImages { name: None, .. }] = channels {
@@ -205,9 +195,12 @@ impl<'a> Channels<'a> {
 }
 
 /// The scene by which one channel is fitted: without the amplitude of its diversity, which only all
-/// channels together determine.
+/// channels together determine, and alone.
 fn own_scene(scene: &Scene) -> Result<Scene> {
-    scene.changed(|sections| sections.estimate.fit_optics.retain(|optic| *optic != Optic::DEFOCUS))
+    scene.changed(|sections| {
+        sections.estimate.fit_optics.retain(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic));
+        sections.estimate.group = Grouping::Each;
+    })
 }
 
 /// The estimate of all channels, from the joint one and those of each channel.

@@ -5,13 +5,14 @@ use super::consistency::{Electrons, reconcile};
 use super::cut_out::scene_of_cut_out;
 use super::divided_images::DividedImages;
 use super::estimate::Estimate;
+use super::group::{is_group, refuse_parts};
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
 use super::policy::Policy;
 use super::remarks::modulo_wavelength_remark;
 use super::scene_files::{FileState, check_for_estimate, file_states};
-use super::{channels, full_phase};
+use super::{channels, full_phase, group};
 use crate::control::{Control, Stage};
 use crate::modal::{ModelCache, StaticMaps, check_frame_shape};
 use crate::planner;
@@ -131,6 +132,10 @@ impl Estimator {
         let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
             Method::FullPhase => full_phase::estimate(&scene, policy, control, &channels),
+            Method::Modal | Method::Auto if is_group(&scene, policy, &channels)? => match parts {
+                None => group::estimate(&scene, policy, control, &channels),
+                Some(_) => Err(refuse_parts(&scene)),
+            },
             Method::Modal | Method::Auto => {
                 let series = self.series(parts, &scene, &channels)?;
                 channels::estimate(&scene, policy, control, &channels, series)

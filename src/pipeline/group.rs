@@ -7,7 +7,7 @@ use super::modal_task::Fitted;
 use super::policy::Policy;
 use super::warnings::group_warnings;
 use crate::control::{Control, Stage};
-use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, is_weak};
+use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, are_determined, is_weak};
 use crate::scene::{Grouping, Optic, Scene, Weighting};
 use crate::{Error, Result};
 use std::time::Instant;
@@ -22,7 +22,12 @@ pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages
     let why = match scene.estimate.group {
         Grouping::Each => return Ok(false),
         Grouping::All if images > 1 => "estimate.group = \"all\" fits all images together".to_owned(),
-        Grouping::All => return Ok(false),
+        Grouping::All => {
+            return Err(Error::Scene(format!(
+                "{}: estimate.group = \"all\" fits all images together, and there is one: two or more are needed",
+                scene.name()
+            )));
+        }
         Grouping::Auto if channels.len() < 2 => return Ok(false),
         Grouping::Auto => {
             let mut weak = None;
@@ -56,6 +61,14 @@ pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages
     Ok(true)
 }
 
+/// The error of parts of an estimate of `scene`, whose images are fitted together.
+pub(super) fn refuse_parts(scene: &Scene) -> Error {
+    Error::Scene(format!(
+        "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
+        scene.name()
+    ))
+}
+
 /// Estimates the wavefront of all images of `channels` together.
 ///
 /// # Errors
@@ -69,7 +82,10 @@ pub(super) fn estimate(
     let started = Instant::now();
     control.enter(Stage::Preparing, 0);
     let own = channels.iter().map(|channel| {
-        let own = channel.scene.changed(|sections| sections.estimate.fit_optics.clear())?;
+        let own = channel.scene.changed(|sections| {
+            sections.estimate.fit_optics.clear();
+            sections.estimate.group = Grouping::Each;
+        })?;
         let recipe = policy.recipe(&own);
         let fitter = modal::fitter_for(&own, recipe, &channel.cache, channel.images.cube())?;
         control.check("the models were built in part, no image was fitted")?;
@@ -106,8 +122,8 @@ pub(super) fn estimate(
     Ok(estimate)
 }
 
-/// The estimate from those of `channels` whose images can be fitted alone, where there are some and
-/// they are of one wavefront.
+/// The estimate from those of `channels` whose images can be fitted alone, where there are others
+/// or several wavelengths, and they are of one wavefront.
 fn near_wavefront(
     scene: &Scene,
     policy: &Policy,
@@ -120,7 +136,8 @@ fn near_wavefront(
             strong.push(channel);
         }
     }
-    if strong.is_empty() {
+    let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
+    if strong.is_empty() || (strong.len() == channels.len() && !are_determined(&wavelengths_nm)) {
         return Ok(None);
     }
     let policy = Policy { select_model: false, ..*policy };

@@ -180,7 +180,7 @@ impl Deref for System {
 
 #[cfg(test)]
 mod tests {
-    use crate::scene::{Crop, Parameter, Scene, Sections};
+    use crate::scene::{Crop, Optic, Parameter, Scene, Sections};
     use std::path::Path;
 
     fn keck(settings: &[(&str, &str)]) -> Scene {
@@ -217,7 +217,10 @@ mod tests {
         let words: [&[(&str, &str)]; 2] =
             [&[], &[("image.pixel_mas", "9.9"), ("image.diversity_focus_waves_pv", "5.0")]];
         for scene in words.map(|words| keck(&[&base, words].concat())) {
-            for parameter in Parameter::all() {
+            // A map of the diversity takes the place of its focus.
+            for parameter in
+                Parameter::all().filter(|parameter| parameter.key != Optic::DIVERSITY.key().unwrap_or_default())
+            {
                 let value = 1.01 * parameter.get(&scene) + 1e-3;
                 let system = scene.system().with(|sections| parameter.set(sections, value)).unwrap();
                 assert_eq!(parameter.get(&system), value, "{}", parameter.key);

@@ -145,6 +145,15 @@ fn what_a_group_does_not_take_is_named() {
     refused(&[("estimate.fit_optics", "[\"rotation\"]")], &["\"rotation\"", "estimate.group = \"each\""]);
     let at_rest = [("image.diversity_planes", "[-1, -1, -1, -1, -1]"), ("estimate.fit_optics", "[\"diversity\"]")];
     refused(&at_rest, &["all of them are 0"]);
+    let one = Images {
+        images_e: images.images_e.select(Axis(0), &[1]),
+        bad: images.bad.select(Axis(0), &[1]),
+        scene: None,
+        ..images.clone()
+    };
+    let alone = usual.with(&[("image.diversity_planes", "[0]")]).unwrap();
+    let error = Estimator::new(&alone).unwrap().estimate(&one).unwrap_err().to_string();
+    assert!(error.contains("there is one: two or more are needed"), "{error}");
     let error = usual.with(&[("image.diversity_file", "")]).unwrap_err().to_string();
     assert!(error.contains("image.diversity_planes") && error.contains("image.diversity_file"), "{error}");
 }

@@ -14,6 +14,7 @@ mod checks;
 mod closed_loop;
 mod diversity;
 pub mod figures;
+mod groups;
 mod hard_cases;
 mod moving_star;
 mod night;
@@ -38,6 +39,7 @@ pub use channels::{CHANNEL_ROWS, ChannelDraw, ChannelRow, ChannelTable, channels
 pub use checks::{CHECK_ROWS, CheckDraw, CheckRow, Checks, checks};
 pub use closed_loop::{ClosedLoop, Round, closed_loop};
 pub use diversity::{Diversity, DiversityPoint, diversity};
+pub use groups::{GROUP_ROWS, GroupDraws, GroupRow, Groups, groups};
 pub use hard_cases::{Draws, HARD_CASES, HardCase, HardCases, Mismatch, Spoil, Verdict, hard_cases};
 pub use moving_star::{Disturbance, MovingNight, MovingNights, MovingRow, MovingStar, Step, moving_star};
 pub use night::{BadFrame, Followed, Jump, Night, QuietNights, Scenario, TrackedFrame, night};

@@ -3,9 +3,9 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    ChannelRow, CheckRow, HardCase, MovingRow, Options, Progress, PullRow, PyramidParts, Report, artificial_source,
-    bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, hard_cases, image_numbers, moving_star,
-    night, observations, on_sky, petals, pulls, pyramid, samples,
+    ChannelRow, CheckRow, GroupRow, HardCase, MovingRow, Options, Progress, PullRow, PyramidParts, Report,
+    artificial_source, bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, groups, hard_cases,
+    image_numbers, moving_star, night, observations, on_sky, petals, pulls, pyramid, samples,
 };
 use cophase::pipeline::Control;
 use cophase::pipeline::Part;
@@ -41,6 +41,8 @@ pub enum Target {
     HardCases,
     /// Pixels that are bad and not marked.
     BadPixels,
+    /// Images that are fitted together.
+    Groups,
     /// Residual over error bar against brightness and number of images.
     Pulls,
     /// Several images of one wavefront: pairs and colours.
@@ -63,7 +65,7 @@ pub enum Target {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 22] = [
+    pub const ALL: [Target; 23] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -77,6 +79,7 @@ impl Target {
         Target::Beyond,
         Target::HardCases,
         Target::BadPixels,
+        Target::Groups,
         Target::Pulls,
         Target::Channels,
         Target::Checks,
@@ -107,6 +110,7 @@ impl Target {
             Target::Beyond => "beyond",
             Target::HardCases => "hard-cases",
             Target::BadPixels => "bad-pixels",
+            Target::Groups => "groups",
             Target::Pulls => "pulls",
             Target::Channels => "channels",
             Target::Checks => "checks",
@@ -141,6 +145,9 @@ impl Target {
             Target::BadPixels => {
                 "hot and dead pixels and cosmic rays that are not marked: residual over the bound of the good pixels"
             }
+            Target::Groups => {
+                "images in focus with shapes of a mirror, weak defocus: fitted together, is the minimum the right one?"
+            }
             Target::Pulls => {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
@@ -169,7 +176,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
-            Target::BadPixels => 20,
+            Target::BadPixels | Target::Groups => 20,
             Target::Samples | Target::HardCases | Target::Observations | Target::Checks | Target::Petals => 8,
             Target::Diversity => 6,
             // Nights without jumps, for the false alarms: 50 of one each are known to 14 %.
@@ -231,6 +238,7 @@ impl Target {
                 | Target::Night
                 | Target::MovingStar
                 | Target::Petals
+                | Target::Groups
                 | Target::Beyond
         )
     }
@@ -266,6 +274,10 @@ impl Target {
                 run.end(hard_cases(&HardCase::named(rows)?, seeds, progress)?, |found, to| found.report(to))
             }
             Target::BadPixels => run.end(bad_pixels(seeds, quick, progress)?, |found, to| found.report(to)),
+            Target::Groups => {
+                let found = groups(&GroupRow::named(rows)?, seeds, &options.directory, progress)?;
+                run.end(found, |found, to| found.report(to))
+            }
             Target::Pulls => run.end(pulls(&PullRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),
             Target::Channels => {
                 run.end(channels(&ChannelRow::named(rows)?, seeds, progress)?, |found, to| found.report(to))

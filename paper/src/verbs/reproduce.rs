@@ -47,7 +47,7 @@ pub struct Arguments {
     /// m)
     #[arg(long, value_name = "WHICH", default_value = "paper", value_parser = segments)]
     segments: Segments,
-    /// Row of beyond, of pyramid or of hard-cases to make, by name, or of pulls or channels, by a
+    /// Row of beyond, pyramid or hard-cases to make, by name, or of pulls, channels or groups, by a
     /// part of its name; may be given more than once [default: all]
     #[arg(long, value_name = "NAME")]
     row: Vec<String>,

@@ -8,6 +8,7 @@ mod channels;
 mod command_line;
 #[path = "../../../tests/common/desk.rs"]
 mod desk;
+mod groups;
 mod leak;
 mod metrics;
 mod moving_star;

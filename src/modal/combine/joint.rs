@@ -120,7 +120,8 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
     let likelihoods = channels.iter().enumerate();
     let mut likelihoods =
         likelihoods.map(|(number, &fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
-    let is_fitted = scene.estimate.fit_optics.contains(&Optic::DEFOCUS);
+    let amplitude = fitted_amplitude(scene);
+    let is_fitted = amplitude.is_some();
     let sigma = scene.estimate.diversity_error;
     let is_unknown = is_fitted || sigma > 0.0;
     if is_unknown {
@@ -141,13 +142,13 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
         |with_amplitude: bool| Normal::new(&likelihoods, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
     let mut found = normal(is_unknown)?;
     let mut defocus = None;
-    if is_fitted {
+    if let Some(optic) = amplitude {
         let share = found.share_of_amplitude(&likelihoods);
         let is_identifiable = share > LEAST_SHARE;
         if !is_identifiable {
             found = normal(false)?;
         }
-        defocus = fitted_defocus(channels, &found, share);
+        defocus = fitted_defocus(optic, channels, &found, share);
     }
     let disagreement = found.disagreement(&likelihoods);
     let diversity_effect_nm = (!found.has_amplitude).then(|| {
@@ -268,23 +269,31 @@ pub(in crate::modal) fn spanned_diversity(fitter: &ModalFitter) -> Result<Array1
     Ok(projection.coefficients_nm)
 }
 
+/// The word of `estimate.fit_optics` that fits the amplitude of the diversities of `scene`; `None`
+/// where it is known.
+pub(in crate::modal) fn fitted_amplitude(scene: &System) -> Option<Optic> {
+    let words = &scene.estimate.fit_optics;
+    [Optic::DEFOCUS, Optic::DIVERSITY].into_iter().find(|optic| words.contains(optic))
+}
+
+/// The first amplitude of a diversity of `channels` that is not 0, in the unit of `optic`; `None`
+/// where there is none.
+pub(in crate::modal) fn amplitude_of<'a>(
+    optic: Optic,
+    mut channels: impl Iterator<Item = &'a ModalFitter>,
+) -> Option<f64> {
+    let parameter = optic.parameters().first()?;
+    channels.find_map(|fitter| Some(parameter.get(&fitter.scene)).filter(|value| *value != 0.0))
+}
+
 /// The amplitude of the first diversity, from the relative error that was found.
-fn fitted_defocus(channels: &[ChannelFit], found: &Normal, share: f64) -> Option<FittedOptic> {
-    let of = |fitter: &ModalFitter| fitter.scene.image.diversity_focus_waves_rms;
-    let scene = channels.iter().map(|(fitter, _)| of(fitter)).find(|waves| *waves != 0.0)?;
+fn fitted_defocus(optic: Optic, channels: &[ChannelFit], found: &Normal, share: f64) -> Option<FittedOptic> {
+    let scene = amplitude_of(optic, channels.iter().map(|(fitter, _)| *fitter))?;
     let (value, sigma) = match found.amplitude() {
         Some((delta, sigma)) => (scene * (1.0 + delta), scene.abs() * sigma),
         None => (scene, f64::INFINITY),
     };
-    Some(FittedOptic {
-        optic: Optic::DEFOCUS,
-        number: None,
-        segment: None,
-        scene,
-        value,
-        sigma,
-        identifiable_share: share,
-    })
+    Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share: share })
 }
 
 /// Normal equations and their solution.

@@ -4,6 +4,7 @@
 use crate::control::Control;
 use crate::modal::assess::fisher::null_floor;
 use crate::modal::assess::tilts::spanned_tip_and_tilt;
+use crate::modal::combine::pistons;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::member::{Member, chain_with_amplitude};
 use crate::modal::group::unknowns::Unknowns;
@@ -216,6 +217,22 @@ impl<'a> Group<'a> {
         let minima = self.for_each(&point, |member, coefficients| member.minimum(coefficients, size));
         let minima = minima.into_iter().map(|minimum| Minimum { evaluations, reason, ..minimum }).collect();
         Ok(Trial { point, minima })
+    }
+
+    /// Moves pistons by whole wavelengths to those of the smallest spread, where all images are of
+    /// one wavelength and do not show them.
+    pub(super) fn gather_pistons(&self, best: &mut Trial) {
+        let wavelength_nm = |member: &Member| member.fitter.model.optics.parts().wavelength_nm;
+        let Some(first) = self.members.first() else { return };
+        if self.members.iter().any(|member| wavelength_nm(member) != wavelength_nm(first)) {
+            return;
+        }
+        let (model, modes) = (&first.fitter.model, first.fitter.model.optics.modes());
+        let flat_nm = vec![0.0; modes];
+        pistons::wrap_if_monochromatic(&mut best.point[..modes], &flat_nm, model);
+        for minimum in &mut best.minima {
+            pistons::wrap_if_monochromatic(&mut minimum.coefficients_nm, &flat_nm, model);
+        }
     }
 
     /// Writes the minima of `best`, which was fitted last, into the fits of the channels.

@@ -1,8 +1,9 @@
 //! Fits of a group from several starts. The wavefront that some of its images show alone is the
-//! first, or the flat one; where the sign of the diversities is not known, that is tried with both. While χ² of the best minimum is larger than
-//! noise explains, random wavefronts follow, and, in turn with them, the best minimum with a random
-//! wavefront added, which finds its neighbours; until three of the first end in the best. The
-//! turned wavefront W′(x) = −W(−x), whose images in focus are the same, is tried last.
+//! first, or the flat one; where the sign of the diversities is not known, that is tried with both.
+//! While χ² of the best minimum is larger than noise explains, random wavefronts follow, and, in
+//! turn with them, the best minimum with a random wavefront added, which finds its neighbours;
+//! until three of the first end in the best. The turned wavefront W′(x) = −W(−x), whose images in
+//! focus are the same, is tried last.
 
 use crate::Result;
 use crate::control::Control;
@@ -51,7 +52,8 @@ pub(crate) struct Minima {
     pub(crate) is_suspicious: bool,
 }
 
-/// Fits the group from `near_nm`, or the flat wavefront, and further starts; the best minimum, in which the images of the group are left.
+/// Fits the group from `near_nm`, or the flat wavefront, and further starts; the best minimum, in
+/// which the images of the group are left.
 ///
 /// # Errors
 /// As [`Group::fit`].

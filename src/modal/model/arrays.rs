@@ -1,7 +1,7 @@
 //! Models of a telescope that the caller gives as arrays: pupil amplitude, segment labels, modes,
 //! diversity.
 
-use crate::modal::fitter::{ModalFitter, refuse_budget, refuse_fit_optics, refuse_full_phase};
+use crate::modal::fitter::{ModalFitter, refuse_budget, refuse_fit_optics, refuse_full_phase, refuse_group};
 use crate::modal::model::Model;
 use crate::modal::model::memory;
 use crate::modal::model::mode_set::{ModeSet, SceneBasis, on_grid};
@@ -64,6 +64,7 @@ impl ModalFitter {
         refuse_budget(scene)?;
         refuse_fit_optics(scene)?;
         refuse_full_phase(scene)?;
+        refuse_group(scene)?;
         let width_m = scene.pupil.grid_m.unwrap_or(UNSTATED_WIDTH_M);
         let telescope = Telescope::of_maps(scene, width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {

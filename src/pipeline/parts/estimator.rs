@@ -9,7 +9,7 @@ use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::divided_images::DividedImages;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{EstimateInput, Estimator, acknowledged};
-use crate::pipeline::group::is_group;
+use crate::pipeline::group::{is_group, refuse_parts};
 use crate::pipeline::images::Images;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};
@@ -67,10 +67,7 @@ impl Estimator {
         let identity = self.identity(&scene, &channels)?;
         let images = channels.iter().map(|channel| channel.images.len()).sum();
         if is_group(&scene, &self.policy, &channels)? {
-            return Err(Error::Scene(format!(
-                "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
-                scene.name()
-            )));
+            return Err(refuse_parts(&scene));
         }
         let all: Vec<&ChannelImages> = channels.iter().collect();
         let channels = Channels::new(&scene, &self.policy, &self.control, &all)?;
