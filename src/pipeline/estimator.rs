@@ -176,11 +176,7 @@ impl Estimator {
             let (name, own) = own_scenes[number];
             let consistent = check_size(images, own).and_then(|()| reconcile(images, own));
             let consistent = named(name, consistent)?;
-            let about = |note: &String| match name {
-                Some(name) => format!("channel {name}: {note}"),
-                None => note.clone(),
-            };
-            notes.extend(whole.notes.iter().map(about));
+            notes.extend(whole.notes.iter().map(|note| (name, note.clone())));
             remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| (name, remark.clone())));
             let scene = match consistent.scene {
                 _ if !consistent.is_changed => planned_scenes[number].1.clone(),
@@ -194,7 +190,8 @@ impl Estimator {
             let cache = cache.for_scene(&self.scene, &scene);
             channels.push(ChannelImages { name, scene, images: consistent.images, cache });
         }
-        let mut remarks = once_where_all(remarks, channels.len());
+        let mut remarks = once_where_all("Channel", remarks, channels.len());
+        let notes = once_where_all("channel", notes, channels.len());
         remarks.extend(choose_method(&mut channels)?);
         // One that lists its channels stays as it was given: what a file replaces is a value of its
         // channel.
@@ -206,13 +203,14 @@ impl Estimator {
     }
 }
 
-/// Remarks on channels with their names; one that holds for all `channels` once, without a name.
-fn once_where_all(remarks: Vec<(Option<&str>, String)>, channels: usize) -> Vec<String> {
-    let holds_for_all = |sentence: &String| remarks.iter().filter(|(_, other)| other == sentence).count() == channels;
+/// Sentences on channels, which begin with `word` and the channel's name; one that holds for all
+/// `channels` once, without a name.
+fn once_where_all(word: &str, given: Vec<(Option<&str>, String)>, channels: usize) -> Vec<String> {
+    let holds_for_all = |sentence: &String| given.iter().filter(|(_, other)| other == sentence).count() == channels;
     let mut sentences: Vec<String> = Vec::new();
-    for (name, sentence) in &remarks {
+    for (name, sentence) in &given {
         let sentence = match name {
-            Some(name) if !holds_for_all(sentence) => format!("Channel {name}: {sentence}"),
+            Some(name) if !holds_for_all(sentence) => format!("{word} {name}: {sentence}"),
             _ => sentence.clone(),
         };
         if !sentences.contains(&sentence) {
