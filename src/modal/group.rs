@@ -25,10 +25,11 @@ mod member;
 mod starts;
 mod unknowns;
 
+use crate::Result;
 use crate::control::{Control, Stage};
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
 use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::combine::joint::{JointEstimate, amplitude_of, fitted_amplitude};
+use crate::modal::combine::joint::{JointEstimate, LEAST_SHARE, amplitude_of, check_same_modes, fitted_amplitude};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::combine::{ModalEstimate, combine, with_prior};
 use crate::modal::estimate::image_fits::FittedCube;
@@ -38,10 +39,9 @@ use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
 use crate::modal::group::starts::fit_from_all;
 use crate::modal::prepare::cube::Cube;
-use crate::modal::solve::engine::ImageFit;
-use crate::scene::{Optic, System};
-use crate::{Error, Result};
-use ndarray::{Array1, s};
+use crate::modal::solve::engine::{FitState, ImageFit};
+use crate::scene::System;
+use ndarray::{Array1, Array2, Axis, s};
 use std::time::Instant;
 
 pub(crate) use starts::Minima;
@@ -57,8 +57,8 @@ pub(crate) struct GroupEstimate {
     /// The modes that all images share.
     pub(crate) joint: JointEstimate,
     /// The images of each channel at the minimum of all, with the fitter that has the fitted
-    /// amplitude of its diversity.
-    pub(crate) channels: Vec<(ModalFitter, ModalEstimate)>,
+    /// amplitude of its diversity; or why none of them can be used.
+    pub(crate) channels: Vec<std::result::Result<(ModalFitter, ModalEstimate), String>>,
     /// The minima that were found.
     pub(crate) minima: Minima,
     /// Channel and number of the image that differs most from the wavefront of all, and the reduced
@@ -79,16 +79,23 @@ pub(crate) fn estimate_group(
     control: &Control,
 ) -> Result<GroupEstimate> {
     let started = Instant::now();
-    check_modes(&channels)?;
-    let amplitude = fitted_amplitude(scene);
+    check_same_modes(channels.iter().map(|channel| &channel.fitter))?;
     let mut fits = channels.iter().map(|channel| channel.fitter.prepared(&channel.cube)).collect::<Result<Vec<_>>>()?;
     control.enter(Stage::Fitting, 0);
     let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
+    let amplitude = fitted_amplitude(scene);
     let mut group = Group::new(&own, &fits, amplitude.is_some())?;
-    let (mut best, minima) = fit_from_all(&mut group, near_nm, control)?;
+    let (mut best, mut minima) = fit_from_all(&mut group, near_nm, control)?;
+    let mut normal = Normal::new(&mut group, &best)?;
+    let share = normal.share_of_amplitude();
+    if amplitude.is_some() && share <= LEAST_SHARE {
+        // The images do not show the amplitude: it stays as the scene says.
+        group = Group::new(&own, &fits, false)?;
+        (best, minima) = fit_from_all(&mut group, near_nm, control)?;
+        normal = Normal::new(&mut group, &best)?;
+    }
     group.gather_pistons(&mut best);
     control.enter(Stage::Combining, 0);
-    let normal = Normal::new(&mut group, &best)?;
     group.write(&best, &mut fits);
     let factor = 1.0 + best.amplitude(&group);
     let fitters = channels.iter().map(|channel| match amplitude {
@@ -96,35 +103,38 @@ pub(crate) fn estimate_group(
         None => Ok(channel.fitter.clone()),
     });
     let fitters = fitters.collect::<Result<Vec<_>>>()?;
-    let joint = normal.estimate(&mut group, &best, &fitters, amplitude)?;
+    let mut joint = normal.estimate(&mut group, &best, &fitters[0])?;
+    joint.defocus = amplitude.and_then(|optic| {
+        let value = amplitude_of(optic, fitters.iter())?;
+        let scene = value / factor;
+        let sigma =
+            normal.sigma_of_amplitude().map_or(f64::INFINITY, |nm| scene.abs() * nm / group.amplitude_unit_nm());
+        Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share: share })
+    });
     let differences = group.members.iter().map(|member| member.place).zip(normal.consistency.of_each);
     let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| best.minima.len() > 2);
     let mut estimates = Vec::new();
     for (fitter, fits) in fitters.into_iter().zip(fits) {
+        if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| refusal(&fits)) {
+            estimates.push(Err(reason));
+            continue;
+        }
         let mut own = combine(&fitter, FittedCube::from_fits(fits), false)?;
         (own.is_of_group, own.device) = (true, "cpu".into());
-        estimates.push((fitter, own));
-    }
-    if let Some((_, first)) = estimates.first_mut() {
-        first.seconds = started.elapsed().as_secs_f64();
+        own.seconds =
+            if estimates.iter().any(std::result::Result::is_ok) { 0.0 } else { started.elapsed().as_secs_f64() };
+        estimates.push(Ok((fitter, own)));
     }
     Ok(GroupEstimate { joint, channels: estimates, minima, most_different })
 }
 
-/// Refuses channels that do not have the same modes.
-fn check_modes(channels: &[GroupChannel]) -> Result<()> {
-    let names = |channel: &GroupChannel| channel.fitter.model.basis.names().to_vec();
-    let Some(first) = channels.first() else { return Err(Error::Internal("a group without channels".into())) };
-    match channels.iter().find(|other| names(other) != names(first)) {
-        None => Ok(()),
-        Some(other) => Err(Error::Scene(format!(
-            "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
-            other.fitter.scene.name(),
-            other.fitter.model.basis.len(),
-            first.fitter.scene.name(),
-            first.fitter.model.basis.len()
-        ))),
-    }
+/// Why none of `fits` could be made.
+fn refusal(fits: &[ImageFit]) -> String {
+    let refused = fits.iter().find_map(|fit| match fit.state {
+        FitState::Refused(refusal) => Some(refusal.to_string()),
+        FitState::NotBegun | FitState::Fitted => None,
+    });
+    refused.unwrap_or_else(|| "there is no image to estimate from".into())
 }
 
 impl ModalFitter {
@@ -150,8 +160,14 @@ impl ModalFitter {
 
 /// Normal equations of a group at its minimum.
 struct Normal {
+    /// Gauss-Newton matrix of the unknowns.
+    information: Array2<f64>,
+    /// See [`null_floor`].
+    floor: f64,
     /// Covariance of the unknowns from the noise.
-    covariance: ndarray::Array2<f64>,
+    covariance: Array2<f64>,
+    /// Place of the amplitude of the diversities.
+    amplitude: Option<usize>,
     consistency: Consistency,
     /// χ² of the group per degree of freedom, 1 at the least.
     scale: f64,
@@ -160,43 +176,43 @@ struct Normal {
 impl Normal {
     fn new(group: &mut Group, best: &Trial) -> Result<Self> {
         let information = group.information(&best.point)?;
-        let pixels = group.pixels();
-        let covariance = pseudo_inverse(&information, null_floor(information.nrows(), pixels))?;
+        let floor = null_floor(information.nrows(), group.pixels());
+        let covariance = pseudo_inverse(&information, floor)?;
         let scale = best.reduced_chi2().max(1.0);
         let consistency = consistency(group, best, scale)?;
-        Ok(Self { covariance, consistency, scale })
+        Ok(Self { information, floor, covariance, amplitude: group.unknowns.amplitude(), consistency, scale })
     }
 
-    fn estimate(
-        &self,
-        group: &mut Group,
-        best: &Trial,
-        fitters: &[ModalFitter],
-        amplitude: Option<Optic>,
-    ) -> Result<JointEstimate> {
-        let first = &fitters[0];
+    /// By how much the variances are larger than those of the noise.
+    fn inflation(&self) -> f64 {
+        self.scale * self.consistency.of_all.0.max(1.0)
+    }
+
+    /// Share of the information on the amplitude of the diversities that the other unknowns leave;
+    /// 0 where it is known.
+    fn share_of_amplitude(&self) -> f64 {
+        let Some(place) = self.amplitude else { return 0.0 };
+        let others: Vec<usize> = (0..self.information.nrows()).filter(|&unknown| unknown != place).collect();
+        let left = self.information.select(Axis(0), &others).select(Axis(1), &others);
+        let cross = self.information.column(place).select(Axis(0), &others);
+        let own = self.information[[place, place]];
+        let reproduced = pseudo_inverse(&left, self.floor).map_or(own, |inverse| cross.dot(&inverse.dot(&cross)));
+        if own > 0.0 { ((own - reproduced) / own).max(0.0) } else { 0.0 }
+    }
+
+    /// Error bar of the amplitude, nm of the largest diversity; `None` where it is known.
+    fn sigma_of_amplitude(&self) -> Option<f64> {
+        self.amplitude.map(|place| (self.covariance[[place, place]] * self.inflation()).sqrt())
+    }
+
+    /// The estimate of the modes, without the amplitude of the diversities.
+    fn estimate(&self, group: &mut Group, best: &Trial, first: &ModalFitter) -> Result<JointEstimate> {
         let modes = first.model.optics.modes();
-        let inflation = self.scale * self.consistency.of_all.0.max(1.0);
         let mut coefficients_nm = best.point[..modes].to_vec();
         first.motions.remove(&mut coefficients_nm);
         let own = self.covariance.slice(s![..modes, ..modes]).to_owned();
-        let covariance_nm2 = first.motions.removed_from(&own) * inflation;
-        let combined = with_prior(&first.model, CombinedModes { coefficients_nm, covariance_nm2 })?;
-        let defocus = amplitude.map(|optic| {
-            let value = amplitude_of(optic, fitters.iter()).unwrap_or(1.0);
-            let factor = 1.0 + best.amplitude(group);
-            let sigma = (self.covariance[[modes, modes]] * inflation).sqrt() / group.amplitude_unit_nm();
-            FittedOptic {
-                optic,
-                number: None,
-                segment: None,
-                scene: value / factor,
-                value,
-                sigma: (value / factor).abs() * sigma,
-                identifiable_share: 1.0,
-            }
-        });
-        let diversity_effect_nm = match amplitude {
+        let mut covariance_nm2 = first.motions.removed_from(&own) * self.inflation();
+        let diversity_effect_nm = match self.amplitude {
             Some(_) => None,
             None => {
                 let mut right = Array1::zeros(self.covariance.nrows());
@@ -204,11 +220,16 @@ impl Normal {
                 Some(self.covariance.dot(&right).slice(s![..modes]).to_owned())
             }
         };
+        if let Some(effect_nm) = &diversity_effect_nm {
+            let column = (effect_nm * first.scene.estimate.diversity_error).insert_axis(Axis(1));
+            covariance_nm2 += &column.dot(&column.t());
+        }
+        let combined = with_prior(&first.model, CombinedModes { coefficients_nm, covariance_nm2 })?;
         Ok(JointEstimate {
             maps: StaticMaps::of_modes(&first.model, &combined),
             sigma_maps: StaticMaps::of_error_bars(&first.model, &combined),
             modes: combined,
-            defocus,
+            defocus: None,
             integers: Vec::new(),
             diversity_effect_nm,
             disagreement: self.consistency.of_all,

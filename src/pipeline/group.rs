@@ -99,17 +99,25 @@ pub(super) fn estimate(
         modal::estimate_group(scene, members, near_nm, control)?;
     joint.integers = near.map(|near| near.integers).unwrap_or_default();
     control.check("the images were fitted, nothing was written")?;
-    let each = fits.into_iter().zip(scenes).enumerate().map(|(number, (fit, own))| {
+    let (mut each, mut used, mut refused) = (Vec::new(), Vec::new(), Vec::new());
+    for ((fit, own), channel) in fits.into_iter().zip(scenes).zip(channels) {
+        let fit = match fit {
+            Ok(fit) => fit,
+            Err(reason) => {
+                let of = channel.name.map(|name| format!("channel {name}: ")).unwrap_or_default();
+                refused.push(format!("{of}no image can be used: {reason}"));
+                continue;
+            }
+        };
         let scene = own.adopting(fit.0.scene())?;
-        let model_seconds = if number == 0 { model_seconds } else { 0.0 };
+        let model_seconds = if each.is_empty() { model_seconds } else { 0.0 };
         let fitted = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
-        fitted.into_estimate(policy)
-    });
-    let each = each.collect::<Result<Vec<_>>>()?;
-    let has_names = channels.iter().any(|channel| channel.name.is_some());
-    let names = if has_names { names(&channels.iter().collect::<Vec<_>>()) } else { Vec::new() };
+        each.push(fitted.into_estimate(policy)?);
+        used.push(channel);
+    }
     let is_contradictory = joint.is_contradictory();
-    let mut estimate = combined(scene, joint, names, each)?;
+    let mut estimate = combined(scene, joint, names(&used), each)?;
+    estimate.warnings.splice(0..0, refused);
     if let Some(([channel, image], chi2)) = most_different.filter(|_| is_contradictory) {
         let of = channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
         estimate.warnings.push(format!(

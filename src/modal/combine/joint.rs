@@ -45,7 +45,7 @@ const ALLOWANCE: f64 = 0.3;
 
 /// Least share of the information on the amplitude of the diversities that the modes must leave:
 /// below, an error of 1 % of the projections would be taken for it.
-const LEAST_SHARE: f64 = 1e-4;
+pub(in crate::modal) const LEAST_SHARE: f64 = 1e-4;
 
 /// Estimate from several channels.
 pub(crate) struct JointEstimate {
@@ -100,6 +100,25 @@ fn resolve(
     Ok(integers::resolve(&mut colours, &covariance_nm2, pistons, scene.modes.piston_range_nm))
 }
 
+/// Refuses fitters that do not have the same modes.
+///
+/// # Errors
+/// [`Error::Scene`].
+pub(in crate::modal) fn check_same_modes<'a>(fitters: impl IntoIterator<Item = &'a ModalFitter>) -> Result<()> {
+    let mut fitters = fitters.into_iter();
+    let Some(first) = fitters.next() else { return Ok(()) };
+    match fitters.find(|other| other.model.basis.names() != first.model.basis.names()) {
+        None => Ok(()),
+        Some(other) => Err(Error::Scene(format!(
+            "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
+            other.scene.name(),
+            other.model.basis.len(),
+            first.scene.name(),
+            first.model.basis.len()
+        ))),
+    }
+}
+
 /// Combines the estimates of the channels of `scene`, which have the same modes.
 ///
 /// # Errors
@@ -108,15 +127,7 @@ fn resolve(
 pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (count, model) = (first.model.optics.modes(), &first.model);
-    if let Some((other, _)) = channels.iter().find(|(fitter, _)| fitter.model.basis.names() != model.basis.names()) {
-        return Err(Error::Scene(format!(
-            "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
-            other.scene.name(),
-            other.model.basis.len(),
-            first.scene.name(),
-            count
-        )));
-    }
+    check_same_modes(channels.iter().map(|(fitter, _)| *fitter))?;
     let likelihoods = channels.iter().enumerate();
     let mut likelihoods =
         likelihoods.map(|(number, &fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
