@@ -15,7 +15,7 @@ use crate::modal::combine::sequence::SEQUENCE;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
 use crate::modal::prepare::cube::Cube;
 use crate::modal::prepare::outliers::CleanedFrame;
-use crate::modal::solve::engine::{FitState, FitTask, ImageFit};
+use crate::modal::solve::engine::{FitTask, ImageFit, reason_of_none};
 use crate::modal::solve::fit_series::{FIRST, FitSeries, SeriesStep};
 use crate::{Error, Result};
 use std::time::Instant;
@@ -89,11 +89,7 @@ impl ModalFitter {
         let start_of_all_nm = start_nm.unwrap_or(&flat_nm);
         let (mut fits, cleaned) = self.fit_cleaned(chain, &task, (&frames, start_of_all_nm), series.as_deref_mut())?;
         if !fits.iter().any(ImageFit::is_fitted) {
-            let refused = fits.iter().find_map(|fit| match fit.state {
-                FitState::Refused(refusal) => Some(refusal.to_string()),
-                FitState::NotBegun | FitState::Fitted => None,
-            });
-            return Err(Error::Image(refused.unwrap_or_else(|| "there is no image to estimate from".into())));
+            return Err(Error::Image(reason_of_none(&fits)));
         }
         if start_nm.is_none() {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits, series)?;

@@ -39,7 +39,7 @@ use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
 use crate::modal::group::starts::fit_from_all;
 use crate::modal::prepare::cube::Cube;
-use crate::modal::solve::engine::{FitState, ImageFit};
+use crate::modal::solve::engine::{ImageFit, prepare_frames, reason_of_none};
 use crate::scene::System;
 use ndarray::{Array1, Array2, Axis, s};
 use std::time::Instant;
@@ -70,8 +70,9 @@ pub(crate) struct GroupEstimate {
 /// show alone.
 ///
 /// # Errors
-/// [`Error::Image`] where no image can be used, [`Error::Shape`] for images of another size than
-/// their scene's, [`Error::Scene`] for channels with other modes, [`Error::Interrupted`].
+/// [`crate::Error::Image`] where no image can be used, [`crate::Error::Shape`] for images of another
+/// size than their scene's, [`crate::Error::Scene`] for channels with other modes,
+/// [`crate::Error::Interrupted`].
 pub(crate) fn estimate_group(
     scene: &System,
     channels: Vec<GroupChannel>,
@@ -115,7 +116,7 @@ pub(crate) fn estimate_group(
     let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| best.minima.len() > 2);
     let mut estimates = Vec::new();
     for (fitter, fits) in fitters.into_iter().zip(fits) {
-        if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| refusal(&fits)) {
+        if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| reason_of_none(&fits)) {
             estimates.push(Err(reason));
             continue;
         }
@@ -126,15 +127,6 @@ pub(crate) fn estimate_group(
         estimates.push(Ok((fitter, own)));
     }
     Ok(GroupEstimate { joint, channels: estimates, minima, most_different })
-}
-
-/// Why none of `fits` could be made.
-fn refusal(fits: &[ImageFit]) -> String {
-    let refused = fits.iter().find_map(|fit| match fit.state {
-        FitState::Refused(refusal) => Some(refusal.to_string()),
-        FitState::NotBegun | FitState::Fitted => None,
-    });
-    refused.unwrap_or_else(|| "there is no image to estimate from".into())
 }
 
 impl ModalFitter {
@@ -153,7 +145,7 @@ impl ModalFitter {
         let frames = self.frames(cube)?;
         let control = Control::default();
         let mut fits = vec![ImageFit::new(&self.model.preparation, self.model.optics.modes()); frames.len()];
-        crate::modal::solve::engine::prepare_frames(&self.task(&control), &frames, &mut fits);
+        prepare_frames(&self.task(&control), &frames, &mut fits);
         Ok(fits)
     }
 }

@@ -8,7 +8,7 @@ use crate::modal::combine::pistons;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::member::{Member, chain_with_amplitude};
 use crate::modal::group::unknowns::Unknowns;
-use crate::modal::solve::engine::{FitState, ImageFit};
+use crate::modal::solve::engine::{FitState, ImageFit, reason_of_none};
 use crate::modal::solve::minimum::Minimum;
 use crate::modal::solve::runner::{APPROACH, APPROACH_STEPS, REWEIGHTING_STEPS, settings};
 use crate::optimize::{Advance, Metric, QuasiNewton, StopReason};
@@ -99,11 +99,7 @@ impl<'a> Group<'a> {
                 .extend(usable.map(|(image, fit)| Member::new(fitter, chain.clone(), [channel, image], &fit.prepared)));
         }
         if members.is_empty() {
-            let refused = fits.iter().flatten().find_map(|fit| match fit.state {
-                FitState::Refused(refusal) => Some(refusal.to_string()),
-                FitState::NotBegun | FitState::Fitted => None,
-            });
-            return Err(Error::Image(refused.unwrap_or_else(|| "there is no image to estimate from".into())));
+            return Err(Error::Image(reason_of_none(fits.iter().flatten())));
         }
         let model = &members[0].fitter.model;
         let tilts = spanned_tip_and_tilt(model)?;

@@ -91,6 +91,15 @@ impl ImageFit {
     }
 }
 
+/// Why none of `fits` was made.
+pub(in crate::modal) fn reason_of_none<'a>(fits: impl IntoIterator<Item = &'a ImageFit>) -> String {
+    let refused = fits.into_iter().find_map(|fit| match fit.state {
+        FitState::Refused(refusal) => Some(refusal.to_string()),
+        FitState::NotBegun | FitState::Fitted => None,
+    });
+    refused.unwrap_or_else(|| "there is no image to estimate from".into())
+}
+
 /// Runs fits. Two implementations: CPU threads, and a device.
 pub(in crate::modal) trait Engine: Send {
     /// Prepares and fits every image from its start; each is a step of the progress.
