@@ -70,8 +70,8 @@ pub(crate) struct GroupEstimate {
 /// show alone.
 ///
 /// # Errors
-/// [`crate::Error::Image`] where no image can be used, [`crate::Error::Shape`] for images of another
-/// size than their scene's, [`crate::Error::Scene`] for channels with other modes,
+/// [`crate::Error::Image`] where no image can be used, [`crate::Error::Shape`] for images of
+/// another size than their scene's, [`crate::Error::Scene`] for channels with other modes,
 /// [`crate::Error::Interrupted`].
 pub(crate) fn estimate_group(
     scene: &System,
