@@ -67,6 +67,7 @@ mod agreement;
 mod atomic;
 #[doc(hidden)]
 pub mod capi;
+mod empirical_bayes;
 mod error;
 mod fault;
 mod fourier;

@@ -5,7 +5,8 @@
 //! minima. Several with known differences (focus, shapes of a mirror) together determine all:
 //!
 //! ```text
-//! J(c, α, t) = Σ_i J_i(c + T t_i; (1 + α) d_i)     T: tip and tilt; d_i: the diversity of image i
+//! J(c, α, t) = Σ_i J_i(c + T t_i; (1 + α) d_i) + cᵀ P c
+//! T: tip and tilt; d_i: the diversity of image i; P: the inverse covariance of the prior
 //! ```
 //!
 //! α, the relative error of the amplitude of all diversities, is unknown where
@@ -14,6 +15,7 @@
 //! | File | What is in it |
 //! |---|---|
 //! | `unknowns` | the unknowns of a group, and those of each of its images |
+//! | `prior` | prior of the modes, whose levels follow from the images |
 //! | `member` | an image of a group with its model |
 //! | `fit` | the fit from one start |
 //! | `starts` | fits from several starts, and which minima there are |
@@ -22,6 +24,7 @@
 mod consistency;
 mod fit;
 mod member;
+mod prior;
 mod starts;
 mod unknowns;
 
@@ -31,12 +34,12 @@ use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::{JointEstimate, LEAST_SHARE, amplitude_of, check_same_modes, fitted_amplitude};
 use crate::modal::combine::static_maps::StaticMaps;
-use crate::modal::combine::{ModalEstimate, combine, with_prior};
+use crate::modal::combine::{ModalEstimate, combine};
 use crate::modal::estimate::image_fits::FittedCube;
 use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
-use crate::modal::group::fit::{Group, Trial};
+use crate::modal::group::fit::{Freedom, Group, Trial};
 use crate::modal::group::starts::fit_from_all;
 use crate::modal::prepare::cube::Cube;
 use crate::modal::solve::engine::{ImageFit, prepare_frames, reason_of_none};
@@ -50,6 +53,8 @@ pub(crate) use starts::Minima;
 pub(crate) struct GroupChannel<'a> {
     pub(crate) fitter: ModalFitter,
     pub(crate) cube: Cube<'a>,
+    /// Which images are fitted; the others are compared with the wavefront of these.
+    pub(crate) fitted: Vec<bool>,
 }
 
 /// Estimate from the images of a group.
@@ -84,20 +89,29 @@ pub(crate) fn estimate_group(
     let mut fits = channels.iter().map(|channel| channel.fitter.prepared(&channel.cube)).collect::<Result<Vec<_>>>()?;
     control.enter(Stage::Fitting, 0);
     let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
+    let is_fitted = |[channel, image]: [usize; 2]| channels[channel].fitted[image];
     let amplitude = fitted_amplitude(scene);
-    let mut group = Group::new(&own, &fits, amplitude.is_some())?;
+    let mut group = Group::new(&own, &fits, is_fitted, amplitude.is_some())?;
     let (mut best, mut minima) = fit_from_all(&mut group, near_nm, control)?;
     let mut normal = Normal::new(&mut group, &best)?;
     let share = normal.share_of_amplitude();
     if amplitude.is_some() && share <= LEAST_SHARE {
         // The images do not show the amplitude: it stays as the scene says.
-        group = Group::new(&own, &fits, false)?;
+        group = Group::new(&own, &fits, is_fitted, false)?;
         (best, minima) = fit_from_all(&mut group, near_nm, control)?;
         normal = Normal::new(&mut group, &best)?;
     }
     group.gather_pistons(&mut best);
     control.enter(Stage::Combining, 0);
     group.write(&best, &mut fits);
+    let places = fits.iter().enumerate().flat_map(|(channel, fits)| (0..fits.len()).map(move |image| [channel, image]));
+    for place in places.filter(|place| !is_fitted(*place)).collect::<Vec<_>>() {
+        let mut alone = Group::new(&own, &fits, |other| other == place, group.unknowns.amplitude().is_some());
+        // An image that cannot be used has its reason already.
+        let Ok(alone) = &mut alone else { continue };
+        let compared = alone.fit(&best.point[..group.unknowns.shared()], Freedom::Tilts, &control.silent())?;
+        alone.write(&compared, &mut fits);
+    }
     let factor = 1.0 + best.amplitude(&group);
     let fitters = channels.iter().map(|channel| match amplitude {
         Some(_) => channel.fitter.with_diversity_times(factor),
@@ -152,32 +166,29 @@ impl ModalFitter {
 
 /// Normal equations of a group at its minimum.
 struct Normal {
-    /// Gauss-Newton matrix of the unknowns.
+    /// Gauss-Newton matrix of the unknowns with the inverse covariance of the prior.
     information: Array2<f64>,
     /// See [`null_floor`].
     floor: f64,
-    /// Covariance of the unknowns from the noise.
+    /// Covariance of the unknowns.
     covariance: Array2<f64>,
     /// Place of the amplitude of the diversities.
     amplitude: Option<usize>,
     consistency: Consistency,
-    /// χ² of the group per degree of freedom, 1 at the least.
-    scale: f64,
+    /// By how much the variances of the images are larger than those of their noise.
+    inflation: f64,
 }
 
 impl Normal {
     fn new(group: &mut Group, best: &Trial) -> Result<Self> {
-        let information = group.information(&best.point)?;
+        let scale = best.reduced_chi2().max(1.0);
+        let each = group.information_of_each(&best.point);
+        let consistency = consistency(group, best, &each, scale)?;
+        let inflation = scale * consistency.of_all.0.max(1.0);
+        let information = group.sum_of(&each) / inflation + &best.precision;
         let floor = null_floor(information.nrows(), group.pixels());
         let covariance = pseudo_inverse(&information, floor)?;
-        let scale = best.reduced_chi2().max(1.0);
-        let consistency = consistency(group, best, scale)?;
-        Ok(Self { information, floor, covariance, amplitude: group.unknowns.amplitude(), consistency, scale })
-    }
-
-    /// By how much the variances are larger than those of the noise.
-    fn inflation(&self) -> f64 {
-        self.scale * self.consistency.of_all.0.max(1.0)
+        Ok(Self { information, floor, covariance, amplitude: group.unknowns.amplitude(), consistency, inflation })
     }
 
     /// Share of the information on the amplitude of the diversities that the other unknowns leave;
@@ -194,7 +205,7 @@ impl Normal {
 
     /// Error bar of the amplitude, nm of the largest diversity; `None` where it is known.
     fn sigma_of_amplitude(&self) -> Option<f64> {
-        self.amplitude.map(|place| (self.covariance[[place, place]] * self.inflation()).sqrt())
+        self.amplitude.map(|place| self.covariance[[place, place]].sqrt())
     }
 
     /// The estimate of the modes, without the amplitude of the diversities.
@@ -203,20 +214,20 @@ impl Normal {
         let mut coefficients_nm = best.point[..modes].to_vec();
         first.motions.remove(&mut coefficients_nm);
         let own = self.covariance.slice(s![..modes, ..modes]).to_owned();
-        let mut covariance_nm2 = first.motions.removed_from(&own) * self.inflation();
+        let mut covariance_nm2 = first.motions.removed_from(&own);
         let diversity_effect_nm = match self.amplitude {
             Some(_) => None,
             None => {
                 let mut right = Array1::zeros(self.covariance.nrows());
                 group.add_effect_of_diversities(best, &mut right)?;
-                Some(self.covariance.dot(&right).slice(s![..modes]).to_owned())
+                Some(self.covariance.dot(&(right / self.inflation)).slice(s![..modes]).to_owned())
             }
         };
         if let Some(effect_nm) = &diversity_effect_nm {
             let column = (effect_nm * first.scene.estimate.diversity_error).insert_axis(Axis(1));
             covariance_nm2 += &column.dot(&column.t());
         }
-        let combined = with_prior(&first.model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+        let combined = CombinedModes { coefficients_nm, covariance_nm2 };
         Ok(JointEstimate {
             maps: StaticMaps::of_modes(&first.model, &combined),
             sigma_maps: StaticMaps::of_error_bars(&first.model, &combined),

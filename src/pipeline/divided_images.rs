@@ -86,7 +86,7 @@ impl DividedImages {
                 Scene::MAX_CHANNELS
             )));
         }
-        let scene = given.divided(ImageList::DiversityPlanes, &channels)?;
+        let scene = divided_scene(given, ImageList::DiversityPlanes, &channels, &order)?;
         Ok(Some(Self { scene, given: given.clone(), images: parts, order, remarks: Vec::new() }))
     }
 
@@ -134,7 +134,7 @@ impl DividedImages {
         }
         let turns = counted(channels.iter().map(Vec::len).sum(), "turn");
         remarks.push(format!("{} were fitted with {turns} of the pupil.", counted(count, "image")));
-        let scene = given.divided(ImageList::PupilTurns, &channels)?;
+        let scene = divided_scene(given, ImageList::PupilTurns, &channels, &order)?;
         Ok(Some(Self { scene, given: with_turns, images: parts, order, remarks }))
     }
 
@@ -157,6 +157,16 @@ impl DividedImages {
         let remarks = self.remarks.into_iter().chain(estimate.remarks).collect();
         Estimate { images, remarks, scene: self.given, ..estimate }
     }
+}
+
+/// `given` with `channels`, whose images have, one after the other, the numbers `order` among those
+/// that were given.
+fn divided_scene(given: &Scene, list_of: ImageList, channels: &[Vec<(String, f64)>], order: &[usize]) -> Result<Scene> {
+    let scene = given.divided(list_of, channels)?;
+    let Some(fitted) = &given.estimate.fitted_images else { return Ok(scene) };
+    // A number that no image has is refused by the estimate, as it was given.
+    let place = |number: &i64| order.iter().position(|&image| image as i64 == *number).map_or(*number, |at| at as i64);
+    scene.changed(|sections| sections.estimate.fitted_images = Some(fitted.iter().map(place).collect()))
 }
 
 /// The images `which` of `images` as those of the channel `name`; `change` makes the file's own

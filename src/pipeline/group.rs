@@ -2,13 +2,15 @@
 //! with a small defocus, or of all channels where the scene says so.
 
 use super::channels::{ChannelImages, Channels, combined, names};
-use super::estimate::{Estimate, Figure};
+use super::estimate::Estimate;
 use super::modal_task::Fitted;
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings::group_warnings;
 use crate::control::{Control, Stage};
 use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, are_determined, is_weak};
 use crate::scene::{Grouping, Optic, Scene, Weighting};
+use crate::statistics::median;
 use crate::{Error, Result};
 use std::time::Instant;
 
@@ -18,9 +20,17 @@ use std::time::Instant;
 /// Those of the diversities; [`Error::Scene`] for settings that a fit of several images together
 /// does not have.
 pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<bool> {
-    let images: usize = channels.iter().map(|channel| channel.images.len()).sum();
+    let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
+    let alone = || match &scene.estimate.fitted_images {
+        None => Ok(false),
+        Some(_) => Err(Error::Scene(format!(
+            "{}: estimate.fitted_images names images that are fitted together, and each is fitted alone here; leave it out, or set \
+             estimate.group = \"all\"",
+            scene.name()
+        ))),
+    };
     let why = match scene.estimate.group {
-        Grouping::Each => return Ok(false),
+        Grouping::Each => return alone(),
         Grouping::All if images > 1 => "estimate.group = \"all\" fits all images together".to_owned(),
         Grouping::All => {
             return Err(Error::Scene(format!(
@@ -28,7 +38,7 @@ pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages
                 scene.name()
             )));
         }
-        Grouping::Auto if channels.len() < 2 => return Ok(false),
+        Grouping::Auto if channels.len() < 2 => return alone(),
         Grouping::Auto => {
             let mut weak = None;
             for channel in channels {
@@ -37,7 +47,7 @@ pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages
                     break;
                 }
             }
-            let Some(name) = weak else { return Ok(false) };
+            let Some(name) = weak else { return alone() };
             format!(
                 "the channel '{name}' is in focus or has less than half a wave of diversity, so that all images are fitted together"
             )
@@ -61,6 +71,32 @@ pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages
     Ok(true)
 }
 
+/// Which images of each channel are fitted.
+///
+/// # Errors
+/// [`Error::Scene`] for the number of an image that is not there.
+fn fitted_images(scene: &Scene, channels: &[ChannelImages]) -> Result<Vec<Vec<bool>>> {
+    let mut first = 0;
+    let each = channels.iter().map(|channel| {
+        let images = first..first + channel.images.len();
+        first = images.end;
+        let is_fitted = |number: usize| {
+            scene.estimate.fitted_images.as_ref().is_none_or(|fitted| fitted.contains(&(number as i64)))
+        };
+        images.map(is_fitted).collect()
+    });
+    let fitted = each.collect();
+    let odd = scene.estimate.fitted_images.iter().flatten().find(|number| **number >= first as i64);
+    match odd {
+        None => Ok(fitted),
+        Some(number) => Err(Error::Scene(format!(
+            "{}: estimate.fitted_images names image {number}, where there are {first}; 0 to {} are accepted",
+            scene.name(),
+            first.saturating_sub(1)
+        ))),
+    }
+}
+
 /// The error of parts of an estimate of `scene`, whose images are fitted together.
 pub(super) fn refuse_parts(scene: &Scene) -> Error {
     Error::Scene(format!(
@@ -81,15 +117,17 @@ pub(super) fn estimate(
 ) -> Result<Estimate> {
     let started = Instant::now();
     control.enter(Stage::Preparing, 0);
-    let own = channels.iter().map(|channel| {
+    let which = fitted_images(scene, channels)?;
+    let own = channels.iter().zip(&which).map(|(channel, fitted)| {
         let own = channel.scene.changed(|sections| {
             sections.estimate.fit_optics.clear();
             sections.estimate.group = Grouping::Each;
+            sections.estimate.fitted_images = None;
         })?;
         let recipe = policy.recipe(&own);
         let fitter = modal::fitter_for(&own, recipe, &channel.cache, channel.images.cube())?;
         control.check("the models were built in part, no image was fitted")?;
-        Ok((own, GroupChannel { fitter, cube: channel.images.cube() }))
+        Ok((own, GroupChannel { fitter, cube: channel.images.cube(), fitted: fitted.clone() }))
     });
     let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let model_seconds = started.elapsed().as_secs_f64();
@@ -100,7 +138,7 @@ pub(super) fn estimate(
     joint.integers = near.map(|near| near.integers).unwrap_or_default();
     control.check("the images were fitted, nothing was written")?;
     let (mut each, mut used, mut refused) = (Vec::new(), Vec::new(), Vec::new());
-    for ((fit, own), channel) in fits.into_iter().zip(scenes).zip(channels) {
+    for (((fit, own), channel), fitted) in fits.into_iter().zip(scenes).zip(channels).zip(which) {
         let fit = match fit {
             Ok(fit) => fit,
             Err(reason) => {
@@ -111,8 +149,16 @@ pub(super) fn estimate(
         };
         let scene = own.adopting(fit.0.scene())?;
         let model_seconds = if each.is_empty() { model_seconds } else { 0.0 };
-        let fitted = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
-        each.push(fitted.into_estimate(policy)?);
+        let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
+        let mut own = fit.into_estimate(policy)?;
+        for (image, _) in own.images.iter_mut().zip(fitted).filter(|(_, is_fitted)| !is_fitted) {
+            image.is_used = false;
+            if image.report.reduced_chi2.is_finite() {
+                let reason = if image.message.is_empty() { String::new() } else { format!("; {}", image.message) };
+                image.message = format!("compared with the wavefront of other images{reason}");
+            }
+        }
+        each.push(own);
         used.push(channel);
     }
     let is_contradictory = joint.is_contradictory();
@@ -126,7 +172,7 @@ pub(super) fn estimate(
     }
     estimate.warnings.splice(0..0, group_warnings(&estimate.images));
     estimate.warnings.extend(warnings(&minima));
-    estimate.remarks.splice(0..0, [remark(&estimate, &minima)].into_iter().chain(error_bar_remark(&estimate)));
+    estimate.remarks.insert(0, remark(&estimate, &minima));
     Ok(estimate)
 }
 
@@ -172,19 +218,9 @@ fn warnings(minima: &Minima) -> Vec<String> {
     sentences
 }
 
-/// Error bar over wavefront from which a fit without a prior is not linear: of pairs on Keck the
-/// residual is 0.9 error bars at 0.05, 1.3 at 0.13 and 1.7 at 0.4.
-const LINEAR: f64 = 0.1;
-
-/// Remark on error bars that are too small because they are as large as what was found.
-fn error_bar_remark(estimate: &Estimate) -> Option<String> {
-    let Figure { rms_nm, sigma_nm } = estimate.figures.wavefront;
-    (sigma_nm > LINEAR * rms_nm).then(|| {
-        format!(
-            "The images say little of the wavefront: its error bar, {sigma_nm:.1} nm, is more than a tenth of it ({rms_nm:.1} nm), where error \
-             bars may be too small by a factor of two."
-        )
-    })
+/// Whether an image was compared with the wavefront of others, and not fitted.
+fn is_compared(image: &&ImageOutcome) -> bool {
+    !image.is_used && !image.is_clipped && image.report.reduced_chi2.is_finite()
 }
 
 /// What a user should know of the fit.
@@ -194,8 +230,18 @@ fn remark(estimate: &Estimate, minima: &Minima) -> String {
         Some(next) => format!("the next minimum is at Δχ² = {next:.0}"),
         None => "no other minimum was found".into(),
     };
+    let compared: Vec<f64> =
+        estimate.images.iter().filter(is_compared).map(|image| image.report.reduced_chi2).collect();
+    let compared = match compared.iter().copied().reduce(f64::max) {
+        None => String::new(),
+        Some(most) => format!(
+            " {} others are predicted from their wavefront with a reduced χ² of {:.2} in the median and {most:.2} at most.",
+            compared.len(),
+            median(&compared)
+        ),
+    };
     format!(
-        "{images} images were fitted together; {} of {} starts ended in this minimum, and {next}.",
+        "{images} images were fitted together; {} of {} starts ended in this minimum, and {next}.{compared}",
         minima.in_best, minima.starts
     )
 }

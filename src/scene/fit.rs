@@ -111,6 +111,10 @@ section! {
         /// Images that are of one wavefront and are fitted together; "auto" takes all images where
         /// one of several channels is in focus or has less than half a wave RMS of diversity.
         group: Grouping, ANY, default(Grouping::Auto);
+        /// Images that are fitted together, counted from 0 over the images of all channels. The
+        /// others are compared with the wavefront of these: tip, tilt, flux and background of each
+        /// are fitted, and its χ² says whether it was predicted.
+        fitted_images: Option<Vec<i64>>, between(0.0, 1e6), unset("all");
         /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront
         /// of each image and then the static errors, "auto" chooses: "full-phase" where the scene
         /// has an AO loop or turbulence and two images or more differ by more than noise, flux and
@@ -153,6 +157,10 @@ impl EstimateScene {
         let of_full_phase =
             [("ao_knowledge", self.ao_knowledge.is_some()), ("telemetry", self.telemetry != Telemetry::Check)];
         reader.refuse_set(&of_full_phase, "where estimate.method is \"modal\"")?;
+        if self.fitted_images.as_ref().is_some_and(Vec::is_empty) {
+            let sentence = "estimate.fitted_images = [] is not accepted; the number of one image at least is needed";
+            return Err(reader.error("fitted_images", sentence));
+        }
         if self.fit_optics.is_empty() {
             return Ok(());
         }
@@ -180,6 +188,7 @@ impl EstimateScene {
             ("fit_optics", !self.fit_optics.is_empty()),
             ("combine", self.combine.is_some()),
             ("group", self.group != Grouping::Auto),
+            ("fitted_images", self.fitted_images.is_some()),
         ];
         reader.refuse_set(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {

@@ -2,9 +2,9 @@
 //! the mean's turbulence, with hyperparameters by empirical Bayes.
 
 use super::common_figure::COMMON_FIGURE_RMS_NM;
-use super::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
 use super::mean_covariance::{MeanCovariance, Weighted};
 use super::static_errors::StaticErrors;
+use crate::empirical_bayes::{CoefficientGroup, Posterior, VarianceRule, maximise_marginal_likelihood};
 use crate::linear_algebra::{combination, row_products};
 use crate::loop_response::SlopeInformation;
 use crate::{Error, Result};
@@ -214,8 +214,13 @@ fn coefficient_groups(
     has_telemetry: bool,
     figures: usize,
 ) -> Vec<CoefficientGroup> {
-    let free = |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, is_fixed: false };
-    let fixed = |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, is_fixed: true };
+    let free = |columns, rms_nm: f64| CoefficientGroup {
+        columns,
+        variance_nm2: rms_nm * rms_nm,
+        rule: VarianceRule::MostLikely,
+    };
+    let fixed =
+        |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, rule: VarianceRule::Fixed };
     let flat = |columns| fixed(columns, FLAT_PRIOR_NM);
     let mut groups = vec![free(0..segments, INITIAL_RMS_NM)];
     if segment_modes > segments {

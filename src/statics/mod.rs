@@ -16,7 +16,6 @@ mod anderson;
 mod common_figure;
 mod convolution;
 mod covariance;
-mod empirical_bayes;
 mod error_budget;
 mod estimator;
 mod image_selection;

@@ -59,7 +59,7 @@ fn images_in_focus_with_known_shapes_determine_the_wavefront() {
     let scene = in_focus(folder.path(), &[]);
     let found = estimate(&scene, &Images::simulated(&scene).unwrap());
     assert!(found.warnings.is_empty() && found.images.len() == 5, "{:?}", found.warnings);
-    assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));
+    assert!((0.4..1.6).contains(&pull(&found)), "{}", pull(&found));
     assert!(found.figures.wavefront.sigma_nm < 20.0, "{}", found.figures.wavefront.sigma_nm);
 }
 
@@ -73,7 +73,7 @@ fn scale_and_sign_of_the_shapes_are_fitted() {
     let [scale] = found.optics.as_slice() else { panic!("{:?}", found.optics) };
     assert_eq!((scale.key.as_str(), scale.scene), ("image.diversity_scale", 1.0));
     assert!((scale.value + 0.66).abs() < 4.0 * scale.sigma && scale.sigma < 0.02, "{scale:?}");
-    assert!(found.warnings.is_empty() && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+    assert!(found.warnings.is_empty() && (0.4..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
 }
 
 #[test]
@@ -89,7 +89,30 @@ fn pairs_with_a_small_defocus_are_fitted_together() {
     let images = Images::simulated_channels(&pair).unwrap();
     let found = Estimator::new(&pair).unwrap().estimate(&images).unwrap();
     assert!(found.remarks[0].contains("2 images were fitted together"), "{:?}", found.remarks);
-    assert!(found.warnings.is_empty() && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+    assert!(found.warnings.is_empty() && (0.4..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+}
+
+#[test]
+fn images_that_are_not_fitted_are_predicted() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = in_focus(folder.path(), &[("estimate.fitted_images", "[4, 0, 2]")]);
+    let images = Images::simulated(&scene).unwrap();
+    let found = estimate(&scene, &images);
+    let used: Vec<bool> = found.images.iter().map(|image| image.is_used).collect();
+    assert_eq!(used, [true, false, true, false, true]);
+    // Their wavefront is known to 10 nm and less, which is below the noise of one image.
+    let chi2 = |image: usize| found.images[image].report.reduced_chi2;
+    assert!(chi2(1) < 1.2 && chi2(3) < 1.2, "{} {}", chi2(1), chi2(3));
+    let remark = &found.remarks[0];
+    assert!(remark.contains("3 images were fitted") && remark.contains("2 others are predicted"), "{remark}");
+    assert!(found.images[1].message.starts_with("compared with the wavefront"), "{}", found.images[1].message);
+    assert!(found.warnings.is_empty() && (0.4..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+    // An image of another mirror's shape is not.
+    let mut images = Images { scene: None, ..images };
+    let shape_of_two = images.images_e.index_axis(Axis(0), 2).to_owned();
+    images.images_e.index_axis_mut(Axis(0), 3).assign(&shape_of_two);
+    let found = estimate(&scene, &images);
+    assert!(found.images[3].report.reduced_chi2 > 5.0, "{}", found.images[3].report.reduced_chi2);
 }
 
 #[test]
@@ -113,7 +136,7 @@ fn images_that_cannot_be_used_are_named_and_left_out() {
     images.images_e.slice_mut(ndarray::s![2, .., ..]).fill(0.0);
     let found = estimate(&scene, &images);
     assert!(found.warnings[0].contains("channel map 1: no image can be used"), "{:?}", found.warnings);
-    assert!(found.channels.len() == 4 && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.channels);
+    assert!(found.channels.len() == 4 && (0.4..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.channels);
 }
 
 #[test]
@@ -130,31 +153,38 @@ fn an_amplitude_that_images_do_not_show_stays() {
         "{:?}",
         found.warnings
     );
-    assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));
+    assert!((0.4..1.6).contains(&pull(&found)), "{}", pull(&found));
+}
+
+/// Whether the estimate from three images with `shape` of x, y and r² says that there is a twin.
+fn says_twin(shape: fn(usize, [f64; 3]) -> f64, settings: &[(&str, &str)]) -> bool {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("own.fits");
+    let value = |(number, y, x): (usize, usize, usize)| {
+        let [x, y] = [x, y].map(|at| (at as f64 - 47.5) / 48.0);
+        200.0 * shape(number, [x, y, x * x + y * y])
+    };
+    let mut file = FitsWriter::create(&path).unwrap();
+    file.image("SHAPES", &Array3::from_shape_fn((2, 96, 96), value), Pixel::F64, "nm").unwrap();
+    file.finish().unwrap();
+    let own = [
+        ("image.diversity_file", path.to_str().unwrap()),
+        ("image.diversity_planes", "[-1, 0, 1]"),
+        ("image.count", "3"),
+    ];
+    let scene = in_focus(folder.path(), &[&own[..], settings].concat());
+    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+    found.warnings.iter().any(|warning| warning.contains("the turned wavefront −W(−x, −y)"))
 }
 
 #[test]
-fn shapes_that_are_all_odd_leave_a_twin() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("odd.fits");
-    let odd = |(shape, y, x): (usize, usize, usize)| {
-        let [x, y] = [x, y].map(|at| (at as f64 - 47.5) / 48.0);
-        200.0 * (3.0 * (x * x + y * y) - 2.0) * if shape == 0 { x } else { y }
-    };
-    let mut file = FitsWriter::create(&path).unwrap();
-    file.image("SHAPES", &Array3::from_shape_fn((2, 96, 96), odd), Pixel::F64, "nm").unwrap();
-    file.finish().unwrap();
-    let scene = in_focus(
-        folder.path(),
-        &[
-            ("image.diversity_file", path.to_str().unwrap()),
-            ("image.diversity_planes", "[-1, 0, 1]"),
-            ("image.count", "3"),
-        ],
-    );
-    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
-    let says = found.warnings.iter().any(|warning| warning.contains("the turned wavefront −W(−x, −y)"));
-    assert!(says, "{:?}", found.warnings);
+fn shapes_that_are_all_odd_or_all_even_leave_a_twin() {
+    let coma = |number, [x, y, square]: [f64; 3]| (3.0 * square - 2.0) * if number == 0 { x } else { y };
+    assert!(says_twin(coma, &[]));
+    // The twin behind even shapes needs them with the other sign.
+    let even = |number, [x, y, square]: [f64; 3]| if number == 0 { 2.0 * square - 1.0 } else { 2.0 * x * y };
+    assert!(says_twin(even, &[("estimate.fit_optics", "[\"diversity\"]")]));
+    assert!(!says_twin(even, &[]));
 }
 
 #[test]
@@ -170,6 +200,10 @@ fn what_a_group_does_not_take_is_named() {
     };
     refused(&[("image.diversity_planes", "[0, 1]")], &["image.diversity_planes has 2 numbers", "5 images"]);
     refused(&[("image.diversity_planes", "[0, 1, 2, 3, 4]")], &["has 4,", "4 maps"]);
+    refused(&[("estimate.fitted_images", "[0, 7]")], &["names image 7", "0 to 4 are accepted"]);
+    refused(&[("estimate.fitted_images", "[3]")], &["there is one"]);
+    let each = [("estimate.fitted_images", "[0, 1]"), ("estimate.group", "each")];
+    refused(&each, &["estimate.fitted_images", "estimate.group = \"all\""]);
     refused(&[("estimate.fit_optics", "[\"rotation\"]")], &["\"rotation\"", "estimate.group = \"each\""]);
     let at_rest = [("image.diversity_planes", "[-1, -1, -1, -1, -1]"), ("estimate.fit_optics", "[\"diversity\"]")];
     refused(&at_rest, &["all of them are 0"]);
@@ -199,26 +233,27 @@ fn groups_of_a_bench_show_one_wavefront() {
     };
     let run = folder.join("run1.fits");
     let whole = Images::read(&run, None).unwrap();
+    // An image saw what the mirror was asked for after the one before it.
+    let planes: Vec<i64> = (0..29).map(|image| image - 1).collect();
     let [one, other] = [[1, 4, 7, 11, 21], [2, 5, 9, 14, 25]].map(|which: [usize; 5]| {
-        // An image saw what the mirror was asked for after the one before it.
-        let planes = which.map(|image| image - 1);
         let text = format!(
             "[pupil]\naperture = \"round\"\nrings = 0\nsegment_side_m = 4.9\nsegment_gap_m = 0.0\ngrid_m = 11.3\nsamples = 120\n\
              [image]\nwavelength_nm = 2169.3\npixel_mas = 10.0\npixels = 64\ngain_e_per_adu = 3.5\nread_noise_e = 26.0\npixel_fill = 1.0\n\
              diversity_file = \"{}[DM_PHASE]\"\ndiversity_planes = {planes:?}\n\
              [modes]\nsegment = \"none\"\nncpa = \"zernike\"\nncpa_count = 44\nexact_zernikes = [2, 45]\n\
-             [estimate]\ngroup = \"all\"\nfit_optics = [\"diversity\"]\n",
+             [estimate]\ngroup = \"all\"\nfit_optics = [\"diversity\"]\nfitted_images = {which:?}\n",
             run.display()
         );
         let scene = Scene::from_text(&text, Path::new("")).unwrap();
-        let images = Images {
-            images_e: whole.images_e.select(Axis(0), &which),
-            bad: whole.bad.select(Axis(0), &which),
-            ..whole.clone()
-        };
-        let found = estimate(&scene, &images);
+        let found = estimate(&scene, &whole);
         let [scale] = found.optics.as_slice() else { panic!("{:?}", found.optics) };
         println!("reduced χ² {:.3}, scale {:.4} ± {:.4}", found.reduced_chi2, scale.value, scale.sigma);
+        let mut unseen: Vec<f64> =
+            found.images.iter().filter(|image| !image.is_used).map(|image| image.report.reduced_chi2).collect();
+        unseen.sort_by(f64::total_cmp);
+        println!("images that were not fitted: {unseen:.2?}");
+        // All but those of the ends of the run.
+        assert!(unseen.len() == 24 && unseen[18] < 1.8, "{unseen:?}");
         assert!(found.reduced_chi2 < 1.5 && (-0.72..-0.56).contains(&scale.value), "{} {scale:?}", found.reduced_chi2);
         found
     });

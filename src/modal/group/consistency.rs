@@ -1,7 +1,8 @@
 //! Whether the images of a group are of one wavefront.
 //!
 //! At the minimum of all, g_i = −½ ∇J_i is what image i alone would change: its own minimum is
-//! Λ_i⁺ g_i away. In coordinates in which the information of all is 1, with M_i that of image i,
+//! Λ_i⁺ g_i away. (A prior moves the minimum: g_i less Λ_i Λ⁺ Σ g_j is that at the minimum without
+//! it.) In coordinates in which the information of all is 1, with M_i that of image i,
 //! g_i has the covariance M − M² where the images are of one wavefront by one model. So the sum of
 //! (v·g_i)²/μ over the eigenvectors v of M_i and its eigenvalues μ has the expectation Σ (1 − μ).
 //! Directions of which an image knows little cannot contradict, and are left out.
@@ -23,22 +24,25 @@ pub(super) struct Consistency {
     pub(super) of_each: Vec<f64>,
 }
 
-/// The differences of the images at `best`; variances are `scale` times those of the noise.
+/// The differences of the images at `best`, where they have the Gauss-Newton matrices `each`;
+/// variances are `scale` times those of the noise.
 ///
 /// # Errors
 /// [`crate::Error::Value`] where no mode changes the images.
-pub(super) fn consistency(group: &mut Group, best: &Trial, scale: f64) -> Result<Consistency> {
+pub(super) fn consistency(group: &mut Group, best: &Trial, each: &[Array2<f64>], scale: f64) -> Result<Consistency> {
     group.evaluate(&best.point);
     let tilts = group.unknowns.tilts();
     let shared = group.unknowns.shared();
-    let each: Vec<(Array2<f64>, Array1<f64>)> = group.scores(&best.point);
-    let each: Vec<_> = each.into_iter().map(|(own, score)| (without(own, &tilts), score)).collect();
+    let each = each.iter().map(|own| without(own.clone(), &tilts)).zip(group.scores()).collect::<Vec<_>>();
     let all = each.iter().fold(Array2::zeros((shared, shared)), |sum, (own, _)| sum + own);
     let root = root_of_pseudo_inverse(&all, null_floor(shared, group.pixels()))?;
     let (mut chi2, mut freedom, mut of_each) = (0.0, 0.0, Vec::new());
+    let pull: Array1<f64> = each.iter().fold(Array1::zeros(shared), |sum, (_, score)| sum + score);
+    let pull = root.t().dot(&pull);
     for (own, score) in &each {
         let before = (chi2, freedom);
-        let (own, score) = (root.t().dot(&own.dot(&root)), root.t().dot(score));
+        let own = root.t().dot(&own.dot(&root));
+        let score = root.t().dot(score) - own.dot(&pull);
         // Columns v/√μ.
         let metric = Metric::from_gauss_newton(&((&own + &own.t()) * 0.5), LEAST_SHARE);
         let columns = metric.ok().and_then(|metric| metric.whitening().map(|columns| columns.to_owned()));

@@ -1,5 +1,5 @@
 //! Fit of a group from one start: Gauss-Newton coordinates of all images together, L-BFGS in them,
-//! weights of the data first and of the model then.
+//! weights of the data first and of the model then; the levels of the prior with the last ones.
 
 use crate::control::Control;
 use crate::modal::assess::fisher::null_floor;
@@ -7,19 +7,24 @@ use crate::modal::assess::tilts::spanned_tip_and_tilt;
 use crate::modal::combine::pistons;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::member::{Member, chain_with_amplitude};
+use crate::modal::group::prior::Prior;
 use crate::modal::group::unknowns::Unknowns;
 use crate::modal::solve::engine::{FitState, ImageFit, reason_of_none};
 use crate::modal::solve::minimum::Minimum;
 use crate::modal::solve::runner::{APPROACH, APPROACH_STEPS, REWEIGHTING_STEPS, settings};
 use crate::optimize::{Advance, Metric, QuasiNewton, StopReason};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2};
+use ndarray::{Array1, Array2, ArrayView1};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Most renewals of the weights, and of the coordinates: where the model is right the second moves
-/// nothing.
+/// Most renewals of the weights, of the levels of the prior, and of the coordinates: where the
+/// images show the modes the second moves nothing.
 const RENEWALS: usize = 6;
+
+/// Squared distance, in units of the noise, up to which the Gauss-Newton matrix of another point
+/// serves: one error bar along one direction.
+const NEAR: f64 = 1.0;
 
 /// NCPA modes, the first of them, that a search of the minimum begins with: with all of 44 Zernikes
 /// a tenth as many random starts end in the best minimum of real images in focus.
@@ -29,18 +34,23 @@ const LOW_MODES: usize = 25;
 pub(super) struct Group<'a> {
     pub(super) members: Vec<Member<'a>>,
     pub(super) unknowns: Unknowns,
+    /// Prior before the images say more.
+    pub(super) prior: Prior,
     /// The largest diversity, nm RMS over its samples: the unit of the amplitude.
     unit_nm: f64,
     step_weights: Arc<[f64]>,
 }
 
-/// How far a fit goes.
+/// What a fit finds, and how well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Precise {
-    /// Until it is clear which minimum it is: one renewal of the weights, steps of an error bar.
+pub(super) enum Freedom {
+    /// Everything, until it is clear which minimum it is: one renewal of the weights, steps of an
+    /// error bar.
     Minimum,
-    /// To the minimum, with the weights of the model there.
+    /// Everything, with the weights of the model at the minimum and the levels of the prior.
     Wavefront,
+    /// Tip and tilt of the first image, with the weights of the model.
+    Tilts,
 }
 
 /// A minimum of a group.
@@ -50,12 +60,21 @@ pub(super) struct Trial {
     pub(super) point: Vec<f64>,
     /// Of each image, in order.
     pub(super) minima: Vec<Minimum>,
+    /// Inverse covariance of the prior of the unknowns, nm⁻².
+    pub(super) precision: Array2<f64>,
+    /// The squares of the modes in units of the prior before the images said more.
+    penalty: f64,
 }
 
 impl Trial {
     /// χ² of all images.
     pub(super) fn chi2(&self) -> f64 {
         self.minima.iter().map(|minimum| minimum.chi2.value * minimum.chi2.freedom).sum()
+    }
+
+    /// χ² with the prior before the images said more, by which minima are compared.
+    pub(super) fn objective(&self) -> f64 {
+        self.chi2() + self.penalty
     }
 
     /// χ² of all images per degree of freedom.
@@ -74,12 +93,18 @@ impl Trial {
 }
 
 impl<'a> Group<'a> {
-    /// The images of each channel that can be used, `fits`, by its fitter.
+    /// The images of each channel that can be used, `fits`, by its fitter: those `chosen` by channel
+    /// and number.
     ///
     /// # Errors
     /// [`Error::Image`] where there is none; [`Error::Scene`] for an amplitude of diversities that
     /// are all 0.
-    pub(super) fn new(fitters: &[&'a ModalFitter], fits: &[Vec<ImageFit>], has_amplitude: bool) -> Result<Self> {
+    pub(super) fn new(
+        fitters: &[&'a ModalFitter],
+        fits: &[Vec<ImageFit>],
+        chosen: impl Fn([usize; 2]) -> bool,
+        has_amplitude: bool,
+    ) -> Result<Self> {
         let rms_nm = |fitter: &&ModalFitter| {
             let diversity_nm = &fitter.model.optics.parts().diversity_nm;
             (diversity_nm.iter().map(|nm| nm * nm).sum::<f64>() / diversity_nm.len() as f64).sqrt()
@@ -95,6 +120,7 @@ impl<'a> Group<'a> {
         for (channel, (fitter, fits)) in fitters.iter().zip(fits).enumerate() {
             let chain = if has_amplitude { chain_with_amplitude(fitter, unit_nm)? } else { fitter.reference.clone() };
             let usable = fits.iter().enumerate().filter(|(_, fit)| fit.state == FitState::NotBegun);
+            let usable = usable.filter(|(image, _)| chosen([channel, *image]));
             members
                 .extend(usable.map(|(image, fit)| Member::new(fitter, chain.clone(), [channel, image], &fit.prepared)));
         }
@@ -103,6 +129,7 @@ impl<'a> Group<'a> {
         }
         let model = &members[0].fitter.model;
         let tilts = spanned_tip_and_tilt(model)?;
+        let prior = Prior::new(model, tilts.clone());
         let unknowns = Unknowns::new(model.optics.modes(), has_amplitude, tilts, members.len());
         // Of a step of the own tips and tilts the mean over the images counts.
         let own = 1.0 / members.len() as f64;
@@ -111,7 +138,7 @@ impl<'a> Group<'a> {
         if let Some(place) = unknowns.amplitude() {
             step_weights[place] = 1.0;
         }
-        Ok(Self { members, unknowns, unit_nm, step_weights: step_weights.into() })
+        Ok(Self { members, unknowns, prior, unit_nm, step_weights: step_weights.into() })
     }
 
     /// Unit of the amplitude, nm.
@@ -132,22 +159,30 @@ impl<'a> Group<'a> {
     }
 
     /// Gauss-Newton matrix of all images at `point`, with their present weights.
-    pub(super) fn information(&mut self, point: &[f64]) -> Result<Array2<f64>> {
-        let each = self.for_each(point, |member, coefficients| member.information(coefficients));
+    pub(super) fn information(&mut self, point: &[f64]) -> Array2<f64> {
+        let each = self.information_of_each(point);
+        self.sum_of(&each)
+    }
+
+    /// Gauss-Newton matrix of each image at `point`, by the unknowns that all share.
+    pub(super) fn information_of_each(&mut self, point: &[f64]) -> Vec<Array2<f64>> {
+        self.for_each(point, |member, coefficients| member.information(coefficients))
+    }
+
+    /// Gauss-Newton matrix of all images, from that of each.
+    pub(super) fn sum_of(&self, each: &[Array2<f64>]) -> Array2<f64> {
         let mut sum = Array2::zeros((self.unknowns.count(), self.unknowns.count()));
         for (image, own) in each.iter().enumerate() {
             self.unknowns.add_information(image, own, &mut sum);
         }
-        Ok((&sum + &sum.t()) * 0.5)
+        (&sum + &sum.t()) * 0.5
     }
 
-    /// Of each image at `point`, where it was evaluated last, by the unknowns that all share: the
-    /// Gauss-Newton matrix, and −½ of the gradient.
-    pub(super) fn scores(&mut self, point: &[f64]) -> Vec<(Array2<f64>, Array1<f64>)> {
-        self.for_each(point, |member, coefficients| {
-            let score = member.evaluation.gradient.iter().map(|slope| -0.5 * slope).collect();
-            (member.information(coefficients), score)
-        })
+    /// −½ of the gradient of each image, where it was evaluated last, by the unknowns that all
+    /// share.
+    pub(super) fn scores(&self) -> Vec<Array1<f64>> {
+        let score = |member: &Member| member.evaluation.gradient.iter().map(|slope| -0.5 * slope).collect();
+        self.members.iter().map(score).collect()
     }
 
     /// Objective and gradient of all images at `point`.
@@ -162,37 +197,73 @@ impl<'a> Group<'a> {
         (objective, gradient)
     }
 
+    /// Renews the weights and the rejected pixels of each image from its model at `point`.
+    fn renew(&mut self, point: &[f64]) -> Result<()> {
+        let renewed = self.for_each(point, |member, coefficients| member.renew(coefficients));
+        renewed.into_iter().collect::<Result<Vec<_>>>().map(drop)
+    }
+
     /// Fits all images from `start`.
     ///
     /// # Errors
     /// [`Error::Interrupted`]; [`Error::Value`] where no mode changes the images.
-    pub(super) fn fit(&mut self, start: &[f64], precision: Precise, control: &Control) -> Result<Trial> {
+    pub(super) fn fit(&mut self, start: &[f64], freedom: Freedom, control: &Control) -> Result<Trial> {
         self.members.par_iter_mut().try_for_each(Member::begin)?;
         let (recipe, model) = (self.members[0].fitter.recipe.clone(), self.members[0].fitter.model.clone());
         let mut settings = settings(&model, &recipe, crate::imaging::Precision::F64, control);
         settings.step_weights = Some(self.step_weights.clone());
         let (step_nm, decrement) = (settings.step_tolerance, settings.decrement_tolerance);
-        let floor = null_floor(self.unknowns.count(), self.pixels());
+        let count = self.unknowns.count();
+        let floor = null_floor(count, self.pixels());
+        let mut prior = self.prior.clone();
+        let mut known = prior.precision(count);
+        if freedom == Freedom::Tilts {
+            known.fill(0.0);
+        }
         let (mut point, mut evaluations) = (start.to_vec(), 0);
         let mut reason = StopReason::Unfinished;
+        if freedom != Freedom::Minimum {
+            self.renew(&point)?;
+        }
+        let (mut information, mut informed_at) = (Array2::zeros((0, 0)), Array1::zeros(0));
         for renewal in 0..=RENEWALS {
-            let mut information = self.information(&point)?;
-            if renewal == 0 && precision == Precise::Minimum {
+            let at = Array1::from(point.clone());
+            let is_near = |informed_at: &Array1<f64>, information: &Array2<f64>| {
+                let off = &at - informed_at;
+                off.dot(&information.dot(&off)) < NEAR
+            };
+            if renewal == 0 || !is_near(&informed_at, &information) {
+                (information, informed_at) = (self.information(&point), at.clone());
+            }
+            if freedom == Freedom::Wavefront {
+                let (_, gradient) = self.evaluate(&point);
+                let score = Array1::from(gradient) * -0.5;
+                prior.learn(&information, &(information.dot(&at) + score))?;
+                known = prior.precision(count);
+            }
+            let mut curvature = &information + &known;
+            if freedom == Freedom::Tilts {
+                let along = self.unknowns.tilts();
+                curvature = along.t().dot(&along.dot(&curvature).dot(&along.t())).dot(&along);
+            }
+            if renewal == 0 && freedom == Freedom::Minimum {
                 // Directions without information stay where they are.
                 for mode in model.segment_modes + LOW_MODES..model.optics.modes() {
-                    information.row_mut(mode).fill(0.0);
-                    information.column_mut(mode).fill(0.0);
+                    curvature.row_mut(mode).fill(0.0);
+                    curvature.column_mut(mode).fill(0.0);
                 }
             }
-            let metric = Arc::new(Metric::from_gauss_newton(&information, floor)?);
+            let metric = Arc::new(Metric::from_gauss_newton(&curvature, floor)?);
             let mut solver = QuasiNewton::new(metric, &point, settings.clone())?;
-            let is_rough = renewal == 0 || precision == Precise::Minimum;
-            if is_rough {
+            if freedom == Freedom::Minimum {
                 solver.set_tolerances(APPROACH_STEPS * step_nm, decrement.max(APPROACH))?;
             }
             loop {
-                let at = solver.point().to_vec();
-                let (objective, gradient) = self.evaluate(&at);
+                let at = Array1::from(solver.point().to_vec());
+                let (mut objective, mut gradient) = self.evaluate(at.as_slice().unwrap_or_default());
+                let pull = known.dot(&at);
+                objective += at.dot(&pull);
+                gradient.iter_mut().zip(&pull).for_each(|(slope, pull)| *slope += 2.0 * pull);
                 if solver.advance(objective, &gradient) == Advance::Done {
                     break;
                 }
@@ -202,17 +273,19 @@ impl<'a> Group<'a> {
             (evaluations, reason) = (evaluations + solver.outcome().evaluations, solver.outcome().reason);
             control.check("the images were fitted in part, nothing was written")?;
             let moved = point.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            let has_settled = moved <= REWEIGHTING_STEPS * step_nm || precision == Precise::Minimum;
+            let has_settled = moved <= REWEIGHTING_STEPS * step_nm || freedom == Freedom::Minimum;
             if !reason.has_converged() || (renewal > 0 && has_settled) || renewal == RENEWALS {
                 break;
             }
-            let renewed = self.for_each(&point, |member, coefficients| member.renew(coefficients));
-            renewed.into_iter().collect::<Result<Vec<_>>>()?;
+            self.renew(&point)?;
         }
-        let size = (self.unknowns.count(), self.members.len());
+        let fitted = if freedom == Freedom::Tilts { self.unknowns.tilts().nrows() } else { count };
+        let size = (fitted, self.members.len());
         let minima = self.for_each(&point, |member, coefficients| member.minimum(coefficients, size));
         let minima = minima.into_iter().map(|minimum| Minimum { evaluations, reason, ..minimum }).collect();
-        Ok(Trial { point, minima })
+        let at = ArrayView1::from(&point);
+        let penalty = at.dot(&self.prior.precision(count).dot(&at));
+        Ok(Trial { point, minima, precision: known, penalty })
     }
 
     /// Moves pistons by whole wavelengths to those of the smallest spread, where all images are of

@@ -8,7 +8,7 @@
 use crate::Result;
 use crate::control::Control;
 use crate::modal::assess::status::suspicion;
-use crate::modal::group::fit::{Group, Precise, Trial};
+use crate::modal::group::fit::{Freedom, Group, Trial};
 use crate::modal::model::Model;
 use crate::modal::solve::restart::CONFIRMING;
 use crate::optimize::Metric;
@@ -17,23 +17,19 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Differences of χ² up to which two fits have ended in one minimum; minima beyond it are distinct.
+/// Differences of the objective up to which two fits have ended in one minimum; minima beyond it are distinct.
 const SAME: f64 = 25.0;
 /// The same as a share of χ², which counts where the model does not explain the images.
 const SAME_SHARE: f64 = 3e-3;
+/// The turned wavefront is fitted where its objective, before the fit, is less than so many times
+/// that of the best: the turned one of a twin has the same.
+const SIMILAR: f64 = 4.0;
 /// Standard deviations of χ² from which random starts are made: right minima are below 3.5, wrong
 /// ones at 10 and more.
 const SUSPICIOUS: f64 = 4.0;
 /// Starts for each that `estimate.restarts` allows a fit of one image. Of five real images of a
 /// bench in focus one random start in four ends in the best minimum.
 const STARTS: usize = 4;
-/// RMS of the first NCPA mode of a random start, waves; mode k of the NCPA has
-/// this times k to the power [`NCPA_POWER`]. Together some 0.1 waves RMS.
-const NCPA_WAVES: f64 = 0.06;
-/// RMS of a segment mode of a random start, waves.
-const SEGMENT_WAVES: f64 = 0.05;
-/// See [`NCPA_WAVES`].
-const NCPA_POWER: f64 = -0.75;
 /// Eigenvalues of the modes' Gram matrix below this fraction of the largest are rounding.
 const NULL_FLOOR: f64 = 1e-10;
 
@@ -72,12 +68,12 @@ pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: 
     let silent = &control.silent();
     let flat_nm = vec![0.0; modes];
     let (first, precision) = match near_nm {
-        Some(near_nm) => (near_nm, Precise::Wavefront),
-        None => (&flat_nm[..], Precise::Minimum),
+        Some(near_nm) => (near_nm, Freedom::Wavefront),
+        None => (&flat_nm[..], Freedom::Minimum),
     };
     let mut trials = vec![group.fit(&from(first, 1.0), precision, silent)?];
     if amplitude.is_some() && near_nm.is_none() {
-        trials.push(group.fit(&from(&flat_nm, -1.0), Precise::Minimum, silent)?);
+        trials.push(group.fit(&from(&flat_nm, -1.0), Freedom::Minimum, silent)?);
     }
     let fitter = group.members[0].fitter;
     let mut random = Vec::new();
@@ -88,49 +84,56 @@ pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: 
         if is_right || found > CONFIRMING {
             break;
         }
-        let mut start = random_wavefront(&fitter.model, attempt);
+        let mut start = random_wavefront(&group.prior.sigma_nm(), attempt);
         if attempt % 2 == 0 {
             start.iter_mut().zip(&trials[best].point).for_each(|(nm, best)| *nm += best);
         } else {
             random.push(trials.len());
         }
         let own = 1.0 + trials[best].amplitude(group);
-        trials.push(group.fit(&from(&start, own), Precise::Minimum, silent)?);
+        trials.push(group.fit(&from(&start, own), Freedom::Minimum, silent)?);
     }
     let best = best_of(&trials);
     let turned = turned(&fitter.model, &trials[best].point[..modes])?;
     let own = 1.0 + trials[best].amplitude(group);
     let signs = if amplitude.is_some() { vec![own, -own] } else { vec![own] };
     for sign in signs {
-        trials.push(group.fit(&from(&turned, sign), Precise::Minimum, silent)?);
+        let mut start = from(&turned, sign);
+        // Tips and tilts are the same in the turned wavefront.
+        let shared = group.unknowns.shared();
+        start[shared..].copy_from_slice(&trials[best].point[shared..]);
+        let [other, own] = [&start, &trials[best].point].map(|point| group.evaluate(point).0);
+        if other < SIMILAR * own {
+            trials.push(group.fit(&start, Freedom::Minimum, silent)?);
+        }
     }
     let best = best_of(&trials);
-    let chi2 = trials[best].chi2();
-    let others = trials.iter().map(|trial| trial.chi2() - chi2);
-    let information = {
-        let again = trials[best].point.clone();
-        group.information(&again)?
-    };
-    let is_twin = |trial: &Trial| {
+    let (chi2, least) = (trials[best].chi2(), trials[best].objective());
+    let others = trials.iter().map(|trial| trial.objective() - least);
+    let mut has_twin = false;
+    for trial in trials.iter().filter(|trial| trial.objective() - least < SAME) {
         let off: Array1<f64> = trial.point.iter().zip(&trials[best].point).map(|(a, b)| a - b).collect();
-        trial.chi2() - chi2 < SAME && off.dot(&information.dot(&off)) > SAME.max(unknowns as f64) * SAME
-    };
+        if off.iter().any(|nm| *nm != 0.0) {
+            let information = group.information(&trials[best].point);
+            has_twin |= off.dot(&information.dot(&off)) > SAME.max(unknowns as f64) * SAME;
+        }
+    }
     let minima = Minima {
         starts: trials.len(),
         in_best: in_minimum(&trials, best),
         next: others.filter(|off| *off >= SAME.max(SAME_SHARE * chi2)).reduce(f64::min),
-        has_twin: trials.iter().any(is_twin),
+        has_twin,
         is_suspicious: deviations(&trials[best]) >= SUSPICIOUS,
     };
     // The weights and the outlier pixels of the images are those of the last fit.
     let best = trials.swap_remove(best);
-    let again = group.fit(&best.point, Precise::Wavefront, silent)?;
+    let again = group.fit(&best.point, Freedom::Wavefront, silent)?;
     Ok((again, minima))
 }
 
-/// The trial with the smallest χ² among those that converged, or among all.
+/// The trial with the smallest objective among those that converged, or among all.
 fn best_of(trials: &[Trial]) -> usize {
-    let key = |trial: &Trial| (!trial.has_converged(), trial.chi2());
+    let key = |trial: &Trial| (!trial.has_converged(), trial.objective());
     let order = |a: &usize, b: &usize| {
         let ((stopped_a, a), (stopped_b, b)) = (key(&trials[*a]), key(&trials[*b]));
         stopped_a.cmp(&stopped_b).then(a.total_cmp(&b))
@@ -140,7 +143,7 @@ fn best_of(trials: &[Trial]) -> usize {
 
 /// Whether two trials ended in one minimum.
 fn is_same(one: &Trial, other: &Trial) -> bool {
-    (one.chi2() - other.chi2()).abs() < SAME.max(SAME_SHARE * other.chi2())
+    (one.objective() - other.objective()).abs() < SAME.max(SAME_SHARE * other.chi2())
 }
 
 /// Number of trials in the minimum of the trial `best`.
@@ -159,19 +162,15 @@ fn deviations(trial: &Trial) -> f64 {
     above / variance.sqrt()
 }
 
-/// Coefficients of a random wavefront, nm: the same for every group.
-fn random_wavefront(model: &Model, attempt: usize) -> Vec<f64> {
+/// Coefficients of a random wavefront with the standard deviations `sigma_nm`, nm: the same for
+/// every group.
+fn random_wavefront(sigma_nm: &Array1<f64>, attempt: usize) -> Vec<f64> {
     let mut rng = ChaCha12Rng::seed_from_u64(attempt as u64);
-    let rms_waves = |mode: usize| match mode.checked_sub(model.segment_modes) {
-        None => SEGMENT_WAVES,
-        Some(ncpa) => NCPA_WAVES * (ncpa as f64 + 1.0).powf(NCPA_POWER),
-    };
-    let wavelength_nm = model.optics.parts().wavelength_nm;
-    let normal = |mode: usize| -> f64 {
+    let normal = |sigma_nm: &f64| -> f64 {
         let unit: f64 = StandardNormal.sample(&mut rng);
-        unit * rms_waves(mode) * wavelength_nm
+        unit * sigma_nm
     };
-    (0..model.optics.modes()).map(normal).collect()
+    sigma_nm.iter().map(normal).collect()
 }
 
 /// Coefficients of −W(−x) for those of W, by least squares over the pupil.

@@ -4,8 +4,10 @@
 //! With `y = A·x + t`, t of covariance C and x of independent normal coefficients whose prior
 //! variance λ is common to a group, the marginal likelihood p(y | λ) depends on the data through
 //! `F = Aᵀ·C⁻¹·A` and `b = Aᵀ·C⁻¹·y` alone. It is maximised by expectation-maximisation: λ of a
-//! group becomes the mean of x̂² + V over its modes. A group without support in the data falls to
-//! 0, and its modes then add no error to the others.
+//! group becomes the mean of x̂² + V over its modes (Dempster, Laird & Rubin 1977, *J. R. Statist.
+//! Soc. B* 39, 1). A group without support in the data falls to 0, and its modes then add no error
+//! to the others; with a uniform prior of √λ (Gelman 2006, *Bayesian Analysis* 1, 515) it falls to
+//! what the data cannot exclude.
 
 use crate::Result;
 use crate::linear_algebra::SpdInverse;
@@ -18,14 +20,24 @@ const TOLERANCE: f64 = 1e-2;
 /// Least variance of a group, nm²: (0.1 nm)² is negligible, and keeps the equations well posed.
 const MIN_VARIANCE_NM2: f64 = 1e-2;
 
+/// How the prior variance of a group follows from the data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VarianceRule {
+    /// It does not.
+    Fixed,
+    /// The most likely one.
+    MostLikely,
+    /// The one with the largest posterior density of log λ, where √λ has a uniform prior.
+    UniformRms,
+}
+
 /// Group of coefficients with a common prior variance.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CoefficientGroup {
     pub columns: std::ops::Range<usize>,
     /// Prior variance, or its initial value, nm².
     pub variance_nm2: f64,
-    /// Whether the variance is fixed.
-    pub is_fixed: bool,
+    pub rule: VarianceRule,
 }
 
 /// Posterior of the coefficients at the maximum of the marginal likelihood.
@@ -54,12 +66,7 @@ impl Posterior {
     ///
     /// # Errors
     /// Where the equations cannot be solved.
-    pub(super) fn with_previous_correction(
-        mut self,
-        count: usize,
-        prior_rms_nm: f64,
-        uncorrected_nm: f64,
-    ) -> Result<Self> {
+    pub fn with_previous_correction(mut self, count: usize, prior_rms_nm: f64, uncorrected_nm: f64) -> Result<Self> {
         let own = s![..count, ..count];
         let precision = SpdInverse::new(&self.covariance_nm2.slice(own).to_owned())?.inverse;
         let mut information = precision.clone();
@@ -103,14 +110,22 @@ pub fn maximise_marginal_likelihood(
     let mut before = f64::NEG_INFINITY;
     for step in 1.. {
         let mut found = posterior(information, b, groups, &variances)?;
-        if found.log_marginal_likelihood - before < TOLERANCE || step == MAX_STEPS {
+        let of_levels = groups.iter().zip(&variances).filter(|(group, _)| group.rule == VarianceRule::UniformRms);
+        let objective = found.log_marginal_likelihood + of_levels.map(|(_, nm2)| 0.5 * nm2.ln()).sum::<f64>();
+        if objective - before < TOLERANCE || step == MAX_STEPS {
             found.prior_rms_nm = variances.iter().map(|v| v.sqrt()).collect();
             return Ok(found);
         }
-        before = found.log_marginal_likelihood;
-        for (variance, group) in variances.iter_mut().zip(groups).filter(|(_, group)| !group.is_fixed) {
+        before = objective;
+        for (variance, group) in variances.iter_mut().zip(groups) {
             let square_nm2 = |i: usize| found.coefficients_nm[i].powi(2) + found.covariance_nm2[[i, i]];
-            let mean_nm2 = group.columns.clone().map(square_nm2).sum::<f64>() / group.columns.len() as f64;
+            let count = match group.rule {
+                VarianceRule::Fixed => continue,
+                VarianceRule::MostLikely => group.columns.len(),
+                // λ maximises −(n/2) log λ − Σ/(2λ) + ½ log λ.
+                VarianceRule::UniformRms => group.columns.len().saturating_sub(1).max(1),
+            };
+            let mean_nm2 = group.columns.clone().map(square_nm2).sum::<f64>() / count as f64;
             *variance = mean_nm2.max(MIN_VARIANCE_NM2);
         }
     }
@@ -144,7 +159,7 @@ mod tests {
     use super::*;
 
     fn group(columns: std::ops::Range<usize>) -> CoefficientGroup {
-        CoefficientGroup { columns, variance_nm2: 100.0, is_fixed: false }
+        CoefficientGroup { columns, variance_nm2: 100.0, rule: VarianceRule::MostLikely }
     }
 
     #[test]
@@ -171,10 +186,22 @@ mod tests {
     }
 
     #[test]
+    fn a_uniform_prior_leaves_what_the_data_cannot_exclude() {
+        // Forty coefficients that are errors of 1 nm: the most likely variance is 0. The largest of
+        // the posterior is where −(n/2) log(1+λ) − n/(2(1+λ)) + ½ log λ is: λ² n = (1+λ)², to the
+        // tolerance of a flat maximum.
+        let b = Array1::from_shape_fn(40, |i| if i % 2 == 0 { 1.0 } else { -1.0 });
+        let uniform = CoefficientGroup { rule: VarianceRule::UniformRms, ..group(0..40) };
+        let found = maximise_marginal_likelihood(&Array2::eye(40), &b, &[uniform]).unwrap();
+        let expected = (1.0 / (40f64.sqrt() - 1.0)).sqrt();
+        assert!((found.prior_rms_nm[0] / expected - 1.0).abs() < 0.3, "{:?} {expected}", found.prior_rms_nm);
+    }
+
+    #[test]
     fn fixed_group_keeps_its_variance_and_textbook_posterior() {
         let information = ndarray::array![[2.0, 0.5], [0.5, 1.0]];
         let b = ndarray::array![3.0, -1.0];
-        let fixed = CoefficientGroup { is_fixed: true, ..group(0..2) };
+        let fixed = CoefficientGroup { rule: VarianceRule::Fixed, ..group(0..2) };
         let found = maximise_marginal_likelihood(&information, &b, &[fixed]).unwrap();
         // (F + 1/100)⁻¹ by hand.
         let (p, q, r) = (2.01, 0.5, 1.01);

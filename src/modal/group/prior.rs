@@ -1,0 +1,154 @@
+//! Prior of the modes of a group.
+//!
+//! A few images with weak differences leave some directions of the modes all but open. Free, these
+//! are fitted to the noise, further than the images are linear in them, and then no error bar
+//! holds. So the modes have zero-mean normal priors in sets of like modes: each motion of the
+//! segments, and the NCPA modes in bands of a factor of [`BAND_RATIO`] in number, since the power
+//! law of the NCPA is not known. The level of each set follows from the images
+//! ([`crate::empirical_bayes`], with a uniform prior of the level). Where the images show the modes
+//! well, it moves them by a small share of their error bars. Tip and tilt of the whole wavefront
+//! have no prior.
+
+use crate::Result;
+use crate::empirical_bayes::{CoefficientGroup, VarianceRule, maximise_marginal_likelihood};
+use crate::modal::assess::fisher::without;
+use crate::modal::model::Model;
+use ndarray::{Array1, Array2, s};
+use std::ops::Range;
+
+/// NCPA modes of the first band.
+const FIRST_BAND: usize = 8;
+/// Ratio of the numbers of the modes at the two ends of a band.
+const BAND_RATIO: usize = 2;
+/// RMS of the first NCPA mode before the images say more, waves; mode k of the NCPA has this times
+/// k to the power [`NCPA_POWER`]. Together some 0.1 waves RMS.
+const NCPA_WAVES: f64 = 0.06;
+/// The same of a segment mode.
+const SEGMENT_WAVES: f64 = 0.05;
+/// See [`NCPA_WAVES`].
+const NCPA_POWER: f64 = -0.75;
+/// Largest level, waves RMS of a mode: pistons that are known to a wavelength only have 0.29, and
+/// a level that the images do not determine must end somewhere.
+const LARGEST_WAVES: f64 = 0.3;
+/// Standard deviation of an unknown without a prior, nm: more than a model's range.
+const FLAT_NM: f64 = 1e4;
+
+/// Priors of all modes.
+#[derive(Debug, Clone)]
+pub(super) struct Prior {
+    sets: Vec<Set>,
+    /// Relative standard deviation of each mode.
+    relative: Array1<f64>,
+    /// Coefficients of tip and tilt, `[axis, mode]`, which have no prior.
+    tilts: Array2<f64>,
+    largest_nm: f64,
+}
+
+/// Modes with one level.
+#[derive(Debug, Clone)]
+struct Set {
+    modes: Range<usize>,
+    /// Standard deviation of a mode with the relative one 1, nm.
+    level_nm: f64,
+}
+
+impl Prior {
+    /// The prior before the images say more.
+    pub(super) fn new(model: &Model, tilts: Array2<f64>) -> Self {
+        let wavelength_nm = model.optics.parts().wavelength_nm;
+        let (segment_modes, modes) = (model.segment_modes, model.optics.modes());
+        let of_a_motion = model.pistons().max(1);
+        let motions = (0..segment_modes).step_by(of_a_motion);
+        let mut sets: Vec<Set> = motions
+            .map(|first| Set {
+                modes: first..(first + of_a_motion).min(segment_modes),
+                level_nm: SEGMENT_WAVES * wavelength_nm,
+            })
+            .collect();
+        let (mut first, mut next) = (0, FIRST_BAND);
+        while segment_modes + first < modes {
+            let end = next.min(modes - segment_modes);
+            sets.push(Set { modes: segment_modes + first..segment_modes + end, level_nm: NCPA_WAVES * wavelength_nm });
+            (first, next) = (end, next * BAND_RATIO);
+        }
+        let relative = |mode: usize| match mode.checked_sub(segment_modes) {
+            None => 1.0,
+            // Modes of files may have any unit.
+            Some(ncpa) => (ncpa as f64 + 1.0).powf(NCPA_POWER) / model.mean_squares[mode].sqrt(),
+        };
+        let relative = (0..modes).map(relative).collect();
+        Self { sets, relative, tilts, largest_nm: LARGEST_WAVES * wavelength_nm }
+    }
+
+    /// Standard deviation of each mode, nm.
+    pub(super) fn sigma_nm(&self) -> Array1<f64> {
+        let mut sigma_nm = self.relative.clone();
+        for set in &self.sets {
+            sigma_nm.slice_mut(s![set.modes.clone()]).mapv_inplace(|relative| relative * set.level_nm);
+        }
+        sigma_nm
+    }
+
+    /// Inverse covariance of the first of `unknowns`, the modes, nm⁻²; 0 for the others.
+    pub(super) fn precision(&self, unknowns: usize) -> Array2<f64> {
+        let own = without(Array2::from_diag(&self.sigma_nm().mapv(|nm| nm.powi(-2))), &self.tilts);
+        let mut padded = Array2::zeros((unknowns, unknowns));
+        padded.slice_mut(s![..own.nrows(), ..own.ncols()]).assign(&own);
+        padded
+    }
+
+    /// Finds the levels from the normal equations of all unknowns, `information` x = `right`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Internal`] for values that are not finite.
+    pub(super) fn learn(&mut self, information: &Array2<f64>, right: &Array1<f64>) -> Result<()> {
+        // Modes with a relative standard deviation of 1, and tip and tilt once more without a
+        // prior.
+        let (modes, unknowns) = (self.relative.len(), right.len());
+        let mut design = Array2::zeros((unknowns + self.tilts.nrows(), unknowns));
+        design.slice_mut(s![..unknowns, ..]).diag_mut().fill(1.0);
+        design.slice_mut(s![..modes, ..modes]).diag_mut().assign(&self.relative);
+        design.slice_mut(s![unknowns.., ..modes]).assign(&self.tilts);
+        let levels = self.sets.iter().map(|set| CoefficientGroup {
+            columns: set.modes.clone(),
+            variance_nm2: set.level_nm.powi(2),
+            rule: VarianceRule::UniformRms,
+        });
+        let flat = CoefficientGroup {
+            columns: modes..design.nrows(),
+            variance_nm2: FLAT_NM.powi(2),
+            rule: VarianceRule::Fixed,
+        };
+        let groups: Vec<CoefficientGroup> = levels.chain([flat]).collect();
+        let information = design.dot(&information.dot(&design.t()));
+        let found = maximise_marginal_likelihood(&information, &design.dot(right), &groups)?;
+        for (set, rms_nm) in self.sets.iter_mut().zip(found.prior_rms_nm) {
+            set.level_nm = rms_nm.min(self.largest_nm);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn levels_follow_the_images_and_tilts_have_none() {
+        // Nine modes, the first a tip; the others are known to 1 nm, and of 5 nm.
+        let mut information = Array2::eye(9);
+        information[[0, 0]] = 4.0;
+        let mean = array![300.0, 5.0, -5.0, 4.0, -6.0, 5.0, -4.0, 6.0, -5.0];
+        let mut tilts = Array2::zeros((1, 9));
+        tilts[[0, 0]] = 1.0;
+        let sets = vec![Set { modes: 0..9, level_nm: 30.0 }];
+        let mut prior = Prior { sets, relative: Array1::ones(9), tilts, largest_nm: 100.0 };
+        prior.learn(&information, &information.dot(&mean)).unwrap();
+        // The squares less the variances: √(204/8 − 1), of eight modes known to a quarter.
+        assert!((4.5..6.0).contains(&prior.sets[0].level_nm), "{}", prior.sets[0].level_nm);
+        let precision = prior.precision(10);
+        assert_eq!((precision[[0, 0]], precision[[9, 9]]), (0.0, 0.0));
+        assert!((precision[[3, 3]] * prior.sets[0].level_nm.powi(2) - 1.0).abs() < 1e-12);
+    }
+}
