@@ -25,6 +25,7 @@ use crate::modal::combine::sequence::{SEQUENCE, scatter, shrinkage_of_variance};
 use crate::modal::combine::single_image::{Combined, Fits, SingleImage, centre, scale_of_noise};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
+use crate::modal::left_out::WithLeftOut;
 use crate::modal::solve::minimum::Minimum;
 use crate::modal::solve::restart::is_same_minimum;
 use crate::modes::{Degeneracy, WEAK_BELOW};
@@ -113,6 +114,8 @@ pub struct ModalEstimate {
     pub precision: Precision,
     /// The combined modes without a prior and without the errors that all images share.
     likelihood: CombinedModes,
+    /// What the modes leave out, where that was marginalised.
+    left_out: Option<WithLeftOut>,
     /// Whether the images were fitted together with those of other channels.
     pub(super) is_of_group: bool,
     /// Covariances of a single image.
@@ -123,6 +126,11 @@ impl ModalEstimate {
     /// The combined modes without a prior and without the errors that all images share.
     pub(super) fn likelihood(&self) -> &CombinedModes {
         &self.likelihood
+    }
+
+    /// What the modes leave out, where it is marginalised.
+    pub(crate) fn left_out(&self) -> Option<&WithLeftOut> {
+        self.left_out.as_ref()
     }
 
     /// Whether the images were fitted together with those of other channels, which determine what
@@ -199,7 +207,16 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     }
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
     let centre_nm = centre(motions, &fitted_nm.select(Axis(0), &used), how);
-    let likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
+    let mut likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
+    let mut left_out = None;
+    if let Some(modes) = &fitter.left_out {
+        let images: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
+        // What a few images scatter is their noise, scaled by a χ² that the left-out modes explain.
+        let noise_nm2 = if is_sequence { &single.noise_nm2 } else { &single.scatter_nm2 } * shrinkage;
+        let found = modes.marginalised((model, motions), &images, &likelihood, &(noise_nm2 + &single.shared_nm2))?;
+        likelihood = found.modes.clone();
+        left_out = Some(found);
+    }
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     Ok(ModalEstimate {
         combine: how,
@@ -211,6 +228,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
         images,
         image_coefficients_nm: coefficients_nm,
         likelihood,
+        left_out,
         is_of_group: false,
         single,
         seconds: 0.0,

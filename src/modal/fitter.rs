@@ -9,6 +9,7 @@ use crate::modal::assess::tilts::Tilts;
 use crate::modal::combine::diversity_error::{self, DiversityProjection, SharedError};
 use crate::modal::combine::global_motions::GlobalMotions;
 use crate::modal::fit_optics::fitted_optic::FittedOptic;
+use crate::modal::left_out::{LeftOut, last_zernike};
 use crate::modal::model::mode_set::SceneBasis;
 use crate::modal::model::recipe::Recipe;
 use crate::modal::solve::engine::FitTask;
@@ -37,6 +38,8 @@ pub struct ModalFitter {
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
     pub(super) fitted_optics: Vec<FittedOptic>,
+    /// What the modes leave out, where that is marginalised.
+    pub(super) left_out: Option<Arc<LeftOut>>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -169,6 +172,8 @@ impl ModalFitter {
     }
 
     pub(super) fn from_model(scene: &System, recipe: Recipe, model: Model) -> Result<Self> {
+        let last = last_zernike([recipe.exact_zernikes, recipe.prior_zernikes]);
+        let left_out = if recipe.marginalise { LeftOut::new(&model, last)?.map(Arc::new) } else { None };
         Ok(Self {
             scene: scene.clone(),
             reference: Arc::new(CpuChain::new(model.optics.clone())),
@@ -178,6 +183,7 @@ impl ModalFitter {
             shared: diversity_error::shared_error(&model, scene)?.into_iter().collect(),
             scene_basis: Arc::default(),
             fitted_optics: Vec::new(),
+            left_out,
             recipe,
             model: Arc::new(model),
         })

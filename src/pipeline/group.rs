@@ -20,6 +20,12 @@ use std::time::Instant;
 /// Those of the diversities; [`Error::Scene`] for settings that a fit of several images together
 /// does not have.
 pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<bool> {
+    if scene.estimate.posterior && (channels.len() > 1 || scene.estimate.group == Grouping::All) {
+        return Err(Error::Scene(format!(
+            "{}: estimate.posterior = true is for images of one channel that are fitted alone; leave it out",
+            scene.name()
+        )));
+    }
     let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
     let alone = || match &scene.estimate.fitted_images {
         None => Ok(false),
@@ -123,6 +129,7 @@ pub(super) fn estimate(
             sections.estimate.fit_optics.clear();
             sections.estimate.group = Grouping::Each;
             sections.estimate.fitted_images = None;
+            sections.estimate.posterior = false;
         })?;
         let recipe = policy.recipe(&own);
         let fitter = modal::fitter_for(&own, recipe, &channel.cache, channel.images.cube())?;

@@ -24,8 +24,13 @@ impl Fitted {
         let diversity = fitter.diversity_projection()?;
         let errors = ExpectedErrors::new(model)?;
         let pupil = model.telescope.pupil.clone();
-        let sigma_nm = errors.rms_nm(&found.combined.modes.covariance_nm2)?;
+        let mut sigma_nm = errors.rms_nm(&found.combined.modes.covariance_nm2)?;
+        if let Some(left_out) = found.left_out() {
+            // Tilts and figures of segments are in no map.
+            [sigma_nm[0], sigma_nm[2]] = [0, 2].map(|k| sigma_nm[k].hypot(left_out.phasing_nm));
+        }
         let remarks = [
+            found.left_out().map(remarks::left_out_remark),
             selected.as_ref().map(|selected| selected.remark.clone()),
             remarks::diversity_remark(&diversity, &scene),
             remarks::averaged_pupil_remark(&scene, &model.telescope),
@@ -136,5 +141,17 @@ fn error_budget(
         let [phasing_nm, ncpa_nm, _] = errors.rms_nm(covariance_nm2)?;
         Ok(ErrorTerm { name: name.into(), phasing_nm, ncpa_nm })
     };
-    std::iter::once((averaged, &found.combined.averaged_covariance_nm2)).chain(shared).map(term).collect()
+    let mut terms: Vec<ErrorTerm> = std::iter::once((averaged, &found.combined.averaged_covariance_nm2))
+        .chain(shared)
+        .map(term)
+        .collect::<Result<_>>()?;
+    if let Some(left_out) = found.left_out() {
+        let own = term(("what is not fitted", &left_out.added_nm2))?;
+        // The covariance of the images has it, too.
+        let less = |all_nm: f64, own_nm: f64| (all_nm * all_nm - own_nm * own_nm).max(0.0).sqrt();
+        terms[0].phasing_nm = less(terms[0].phasing_nm, own.phasing_nm);
+        terms[0].ncpa_nm = less(terms[0].ncpa_nm, own.ncpa_nm);
+        terms.push(ErrorTerm { phasing_nm: own.phasing_nm.hypot(left_out.phasing_nm), ..own });
+    }
+    Ok(terms)
 }

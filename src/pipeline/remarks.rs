@@ -2,7 +2,7 @@
 
 use super::estimate::Estimate;
 use crate::Result;
-use crate::modal::DiversityProjection;
+use crate::modal::{DiversityProjection, WithLeftOut};
 use crate::scene::{Aperture, Scene};
 use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
@@ -134,4 +134,10 @@ pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
         )
     });
     added.into_iter().chain(unseen).collect()
+}
+
+/// What the modes leave out, and how large the images say it is.
+pub(super) fn left_out_remark(left_out: &WithLeftOut) -> String {
+    let sizes: Vec<String> = left_out.terms.iter().map(|term| format!("{} {:.1} nm", term.name, term.rms_nm)).collect();
+    format!("Not fitted, and in the error bars with the size that the images allow, RMS of each: {}.", sizes.join(", "))
 }

@@ -89,6 +89,10 @@ section! {
         /// Largest number of restarts, from a perturbed start, of a fit that ended in a wrong
         /// minimum; sessions do not restart.
         restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the recipes of Lamb et al.");
+        /// Whether what the modes leave out (tips, tilts and figures of the segments, Zernikes to
+        /// Noll 91) is marginalised after the fit, so that error bars hold it; of images of one
+        /// channel that are fitted alone. Sessions and the watch do not.
+        posterior: bool, ANY, default(false);
         /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the
         /// cheapest model within it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
@@ -189,6 +193,7 @@ impl EstimateScene {
             ("combine", self.combine.is_some()),
             ("group", self.group != Grouping::Auto),
             ("fitted_images", self.fitted_images.is_some()),
+            ("posterior", self.posterior),
         ];
         reader.refuse_set(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {

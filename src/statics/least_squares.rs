@@ -217,10 +217,15 @@ fn coefficient_groups(
     let free = |columns, rms_nm: f64| CoefficientGroup {
         columns,
         variance_nm2: rms_nm * rms_nm,
+        largest_nm2: f64::INFINITY,
         rule: VarianceRule::MostLikely,
     };
-    let fixed =
-        |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, rule: VarianceRule::Fixed };
+    let fixed = |columns, rms_nm: f64| CoefficientGroup {
+        columns,
+        variance_nm2: rms_nm * rms_nm,
+        largest_nm2: f64::INFINITY,
+        rule: VarianceRule::Fixed,
+    };
     let flat = |columns| fixed(columns, FLAT_PRIOR_NM);
     let mut groups = vec![free(0..segments, INITIAL_RMS_NM)];
     if segment_modes > segments {

@@ -17,6 +17,7 @@ mod full_phase;
 mod fuzz;
 mod golden;
 mod groups;
+mod left_out;
 mod measured_loop;
 mod measured_mirror;
 mod modal;

@@ -1,5 +1,6 @@
-//! Groups: images in focus with known shapes of a mirror between them, and pairs with a small
-//! defocus, fitted together: residual against error bar, and wrong minima that are not flagged.
+//! Groups: images in focus with known shapes of a mirror between them, pairs with a small defocus
+//! and faint images, fitted together: residual against error bar, and wrong minima that are not
+//! flagged.
 
 use super::statistics::{median, rms};
 use super::{Cell, Progress, Report, Table};
@@ -28,6 +29,8 @@ enum Differences {
     Shapes { images: usize, rms_nm: f64, is_scale_fitted: bool },
     /// Two defocuses of opposite signs, waves RMS.
     Pair { waves: f64 },
+    /// None: images of one defocus and this peak S/N, fitted together or each alone.
+    Noise { images: usize, peak_snr: f64, is_together: bool },
 }
 
 /// One case.
@@ -48,8 +51,12 @@ const fn pair(name: &'static str, waves: f64) -> GroupRow {
     GroupRow { name, differences: Differences::Pair { waves }, factor: 1.0 }
 }
 
-/// The cases, at a peak S/N of 200.
-pub const GROUP_ROWS: [GroupRow; 9] = [
+const fn faint(name: &'static str, peak_snr: f64, is_together: bool) -> GroupRow {
+    GroupRow { name, differences: Differences::Noise { images: 40, peak_snr, is_together }, factor: 1.0 }
+}
+
+/// The cases, at a peak S/N of 200 but for those that name another.
+pub const GROUP_ROWS: [GroupRow; 13] = [
     shapes("5 in focus, shapes 150 nm", 5, 150.0, 1.0),
     GroupRow {
         name: "5 in focus, shapes 150 nm, scale fitted",
@@ -63,6 +70,10 @@ pub const GROUP_ROWS: [GroupRow; 9] = [
     pair("pair of 0.1 waves", 0.1),
     pair("pair of 0.2 waves", 0.2),
     pair("pair of 0.3 waves", 0.3),
+    faint("40 images at S/N 2, together", 2.0, true),
+    faint("40 images at S/N 2, one by one", 2.0, false),
+    faint("40 images at S/N 10, together", 10.0, true),
+    faint("40 images at S/N 10, one by one", 10.0, false),
 ];
 
 impl GroupRow {
@@ -111,6 +122,11 @@ impl GroupRow {
                     ("estimate.fit_optics", words),
                 ])
             }
+            Differences::Noise { images, peak_snr, is_together } => scene.with(&[
+                ("image.peak_snr", &peak_snr.to_string()),
+                ("image.count", &images.to_string()),
+                ("estimate.group", if is_together { "all" } else { "each" }),
+            ]),
             Differences::Pair { waves } => {
                 let channels = format!(
                     "[[image.channel]]\nname = \"plus\"\ndiversity_focus_waves_rms = {waves}\n\

@@ -93,8 +93,8 @@ impl Trial {
 }
 
 impl<'a> Group<'a> {
-    /// The images of each channel that can be used, `fits`, by its fitter: those `chosen` by channel
-    /// and number.
+    /// The images of each channel that can be used, `fits`, by its fitter: those `chosen` by
+    /// channel and number.
     ///
     /// # Errors
     /// [`Error::Image`] where there is none; [`Error::Scene`] for an amplitude of diversities that

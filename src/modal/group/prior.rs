@@ -112,18 +112,20 @@ impl Prior {
         let levels = self.sets.iter().map(|set| CoefficientGroup {
             columns: set.modes.clone(),
             variance_nm2: set.level_nm.powi(2),
+            largest_nm2: self.largest_nm.powi(2),
             rule: VarianceRule::UniformRms,
         });
         let flat = CoefficientGroup {
             columns: modes..design.nrows(),
             variance_nm2: FLAT_NM.powi(2),
+            largest_nm2: f64::INFINITY,
             rule: VarianceRule::Fixed,
         };
         let groups: Vec<CoefficientGroup> = levels.chain([flat]).collect();
         let information = design.dot(&information.dot(&design.t()));
         let found = maximise_marginal_likelihood(&information, &design.dot(right), &groups)?;
         for (set, rms_nm) in self.sets.iter_mut().zip(found.prior_rms_nm) {
-            set.level_nm = rms_nm.min(self.largest_nm);
+            set.level_nm = rms_nm;
         }
         Ok(())
     }

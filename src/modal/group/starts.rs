@@ -17,7 +17,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Differences of the objective up to which two fits have ended in one minimum; minima beyond it are distinct.
+/// Differences of the objective up to which two fits have ended in one minimum; minima beyond it
+/// are distinct.
 const SAME: f64 = 25.0;
 /// The same as a share of χ², which counts where the model does not explain the images.
 const SAME_SHARE: f64 = 3e-3;

@@ -38,6 +38,8 @@ pub struct Recipe {
     pub exact_zernikes: NollRange,
     /// Zernikes that are fitted too and carry a prior in the combination of the images.
     pub prior_zernikes: NollRange,
+    /// Whether what the modes leave out is marginalised after the fit.
+    pub marginalise: bool,
     /// Most evaluations for one image.
     pub max_evaluations: usize,
     /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more
@@ -94,6 +96,7 @@ impl Recipe {
             least_pass_cycles: 0.0,
             exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(EXACT) } else { NollRange::None },
             prior_zernikes: NollRange::None,
+            marginalise: has_noise && estimate.posterior,
             // BFGS needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
             // The paper's objective is used where the modes do not span the wavefront: this
