@@ -209,7 +209,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let centre_nm = centre(motions, &fitted_nm.select(Axis(0), &used), how);
     let mut likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
     let mut left_out = None;
-    if let Some(modes) = &fitter.left_out {
+    if let Some(modes) = fitter.left_out()? {
         let images: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
         // What a few images scatter is their noise, scaled by a χ² that the left-out modes explain.
         let noise_nm2 = if is_sequence { &single.noise_nm2 } else { &single.scatter_nm2 } * shrinkage;

@@ -19,7 +19,7 @@ use crate::scene::{Grouping, Method, PupilScene, System};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Fits static modes to images of one scene, and combines the images. A clone shares the model.
 #[derive(Clone)]
@@ -38,8 +38,9 @@ pub struct ModalFitter {
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
     pub(super) fitted_optics: Vec<FittedOptic>,
-    /// What the modes leave out, where that is marginalised.
-    pub(super) left_out: Option<Arc<LeftOut>>,
+    /// What the modes leave out, once an estimate has marginalised it: sessions and the search of
+    /// the optics do without.
+    pub(super) left_out: Arc<OnceLock<Option<LeftOut>>>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -172,8 +173,6 @@ impl ModalFitter {
     }
 
     pub(super) fn from_model(scene: &System, recipe: Recipe, model: Model) -> Result<Self> {
-        let last = last_zernike([recipe.exact_zernikes, recipe.prior_zernikes]);
-        let left_out = if recipe.marginalise { LeftOut::new(&model, last)?.map(Arc::new) } else { None };
         Ok(Self {
             scene: scene.clone(),
             reference: Arc::new(CpuChain::new(model.optics.clone())),
@@ -183,7 +182,7 @@ impl ModalFitter {
             shared: diversity_error::shared_error(&model, scene)?.into_iter().collect(),
             scene_basis: Arc::default(),
             fitted_optics: Vec::new(),
-            left_out,
+            left_out: Arc::default(),
             recipe,
             model: Arc::new(model),
         })
@@ -192,6 +191,22 @@ impl ModalFitter {
     /// Whether this fitter was made for `scene` and `recipe`.
     pub(super) fn is_of(&self, scene: &System, recipe: &Recipe) -> bool {
         self.recipe == *recipe && *self.scene == **scene && self.scene.directory() == scene.directory()
+    }
+
+    /// What the modes leave out, where the recipe marginalises it.
+    ///
+    /// # Errors
+    /// Those of [`LeftOut::new`].
+    pub(super) fn left_out(&self) -> Result<Option<&LeftOut>> {
+        if !self.recipe.marginalise {
+            return Ok(None);
+        }
+        if let Some(built) = self.left_out.get() {
+            return Ok(built.as_ref());
+        }
+        let last = last_zernike([self.recipe.exact_zernikes, self.recipe.prior_zernikes]);
+        let built = LeftOut::new(&self.model, last)?;
+        Ok(self.left_out.get_or_init(|| built).as_ref())
     }
 
     /// The model of the images.

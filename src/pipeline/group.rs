@@ -4,7 +4,6 @@
 use super::channels::{ChannelImages, Channels, combined, names};
 use super::estimate::Estimate;
 use super::modal_task::Fitted;
-use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings::group_warnings;
 use crate::control::{Control, Stage};
@@ -144,7 +143,7 @@ pub(super) fn estimate(
         modal::estimate_group(scene, members, near_nm, control)?;
     joint.integers = near.map(|near| near.integers).unwrap_or_default();
     control.check("the images were fitted, nothing was written")?;
-    let (mut each, mut used, mut refused) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut each, mut used, mut refused, mut compared) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (((fit, own), channel), fitted) in fits.into_iter().zip(scenes).zip(channels).zip(which) {
         let fit = match fit {
             Ok(fit) => fit,
@@ -161,6 +160,7 @@ pub(super) fn estimate(
         for (image, _) in own.images.iter_mut().zip(fitted).filter(|(_, is_fitted)| !is_fitted) {
             image.is_used = false;
             if image.report.reduced_chi2.is_finite() {
+                compared.push(image.report.reduced_chi2);
                 let reason = if image.message.is_empty() { String::new() } else { format!("; {}", image.message) };
                 image.message = format!("compared with the wavefront of other images{reason}");
             }
@@ -179,7 +179,7 @@ pub(super) fn estimate(
     }
     estimate.warnings.splice(0..0, group_warnings(&estimate.images));
     estimate.warnings.extend(warnings(&minima));
-    estimate.remarks.insert(0, remark(&estimate, &minima));
+    estimate.remarks.insert(0, remark(&estimate, &compared, &minima));
     Ok(estimate)
 }
 
@@ -225,26 +225,19 @@ fn warnings(minima: &Minima) -> Vec<String> {
     sentences
 }
 
-/// Whether an image was compared with the wavefront of others, and not fitted.
-fn is_compared(image: &&ImageOutcome) -> bool {
-    !image.is_used && !image.is_clipped && image.report.reduced_chi2.is_finite()
-}
-
-/// What a user should know of the fit.
-fn remark(estimate: &Estimate, minima: &Minima) -> String {
+/// What a user should know of the fit, and of the images that were compared with it.
+fn remark(estimate: &Estimate, compared_chi2: &[f64], minima: &Minima) -> String {
     let images = estimate.images.iter().filter(|image| image.is_used).count();
     let next = match minima.next {
         Some(next) => format!("the next minimum is at Δχ² = {next:.0}"),
         None => "no other minimum was found".into(),
     };
-    let compared: Vec<f64> =
-        estimate.images.iter().filter(is_compared).map(|image| image.report.reduced_chi2).collect();
-    let compared = match compared.iter().copied().reduce(f64::max) {
+    let compared = match compared_chi2.iter().copied().reduce(f64::max) {
         None => String::new(),
         Some(most) => format!(
             " {} others are predicted from their wavefront with a reduced χ² of {:.2} in the median and {most:.2} at most.",
-            compared.len(),
-            median(&compared)
+            compared_chi2.len(),
+            median(compared_chi2)
         ),
     };
     format!(

@@ -111,14 +111,15 @@ pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: 
     let best = best_of(&trials);
     let (chi2, least) = (trials[best].chi2(), trials[best].objective());
     let others = trials.iter().map(|trial| trial.objective() - least);
-    let mut has_twin = false;
-    for trial in trials.iter().filter(|trial| trial.objective() - least < SAME) {
-        let off: Array1<f64> = trial.point.iter().zip(&trials[best].point).map(|(a, b)| a - b).collect();
-        if off.iter().any(|nm| *nm != 0.0) {
-            let information = group.information(&trials[best].point);
-            has_twin |= off.dot(&information.dot(&off)) > SAME.max(unknowns as f64) * SAME;
-        }
-    }
+    let alike = |&(place, trial): &(usize, &Trial)| place != best && trial.objective() - least < SAME;
+    let others_alike: Vec<&Trial> = trials.iter().enumerate().filter(alike).map(|(_, trial)| trial).collect();
+    let has_twin = !others_alike.is_empty() && {
+        let information = group.information(&trials[best].point);
+        others_alike.iter().any(|trial| {
+            let off: Array1<f64> = trial.point.iter().zip(&trials[best].point).map(|(a, b)| a - b).collect();
+            off.dot(&information.dot(&off)) > SAME.max(unknowns as f64) * SAME
+        })
+    };
     let minima = Minima {
         starts: trials.len(),
         in_best: in_minimum(&trials, best),
