@@ -362,7 +362,7 @@ impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
 /// call. Hence named types with an `inline(always)` body instead of closures, and the same
 /// attribute on the stages.
 #[inline(always)]
-fn vectorised<R>(work: impl NullaryFnOnce<Output = R>) -> R {
+pub(super) fn vectorised<R>(work: impl NullaryFnOnce<Output = R>) -> R {
     pulp::Arch::new().dispatch(work)
 }
 

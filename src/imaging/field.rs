@@ -17,7 +17,7 @@
 
 use super::optics::{Mode, Optics};
 use super::phasor::{Polynomial, phasor};
-use super::segment_blocks::{BLOCK, Lanes, SegmentBlocks};
+use super::segment_blocks::{BLOCK, Lanes, SegmentBlocks, tilted};
 use super::smooth::{SmoothModes, SmoothScratch};
 use ndarray::ArrayView1;
 
@@ -260,47 +260,63 @@ impl<T: Polynomial> Field<T> {
     }
 
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must
-    /// be zero elsewhere.
+    /// be zero elsewhere: i·2π·s·P·(the mode's part of the aperture), s the derivative of the phase
+    /// in turns per nm.
+    #[inline(always)]
     pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
-        let tau = T::narrow(std::f64::consts::TAU);
-        let stride = self.samples.next_multiple_of(BLOCK);
-        // i·2π·s·P·(re + i·im), s the derivative of the phase in turns per nm.
-        let mut put = |place: usize, re: T, im: T, s: T| {
-            let [p_re, p_im] = state.blocks[place / BLOCK].phasor.map(|lanes| lanes[place % BLOCK]);
-            let (re, im) = (p_re * re - p_im * im, p_re * im + p_im * re);
-            let at = 2 * self.samples * (place / stride) + place % stride;
-            grid[at] -= tau * s * im;
-            grid[at + self.samples] += tau * s * re;
-        };
+        let (samples, across) = (self.samples, self.samples.div_ceil(BLOCK));
         let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
             let Mode::Smooth(row) = mode else { unreachable!("the other modes are handled above") };
-            for (&place, &b) in self.illuminated.iter().zip(self.smooth.map(row)) {
-                let [re, im] = state.blocks[place / BLOCK].aperture.map(|lanes| lanes[place % BLOCK]);
-                put(place, re, im, b);
+            for (&place, &slope) in self.illuminated.iter().zip(self.smooth.map(row)) {
+                let (block, lane) = (place / BLOCK, place % BLOCK);
+                let BlockState { phasor, aperture } = &state.blocks[block];
+                let [re, im] = along_phase(phasor.map(|lanes| lanes[lane]), aperture.map(|lanes| lanes[lane]), slope);
+                let at = 2 * samples * (block / across) + block % across * BLOCK + lane;
+                grid[at] += re;
+                grid[at + samples] += im;
             }
             return;
         };
-        let [c, t, u] = state.pose[segment];
-        let slopes = self.segment_blocks.slopes.as_ref();
+        let turns_per_nm = T::narrow(self.turns_per_nm);
         // The phasor of a segment without slopes is the same at all of its samples.
-        let of_piston = phasor(c);
+        let (re, im) = phasor(state.pose[segment][0]);
+        let of_piston = [[re; BLOCK], [im; BLOCK]];
         for &(block, entry) in &self.segment_blocks.by_segment[segment] {
+            let slopes = self.segment_blocks.slopes.as_ref().map(|slopes| &slopes[entry]);
+            // No closure: it would be compiled for the oldest CPU.
+            let [q_re, q_im] = match slopes {
+                None => of_piston,
+                Some(slopes) => tilted(state.pose[segment], slopes),
+            };
+            let along = match (mode, slopes) {
+                (Mode::Tip(_), Some([x, _])) => *x,
+                (Mode::Tilt(_), Some([_, y])) => *y,
+                (Mode::Piston(_), _) => [T::one(); BLOCK],
+                _ => [T::zero(); BLOCK],
+            };
+            let (weight, [p_re, p_im]) = (&self.segment_blocks.weight[entry], &state.blocks[block].phasor);
+            let (mut d_re, mut d_im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
             for i in 0..BLOCK {
-                let weight = self.segment_blocks.weight[entry][i];
-                if weight == T::zero() {
-                    continue;
-                }
-                let [x, y] = slopes.map_or([T::zero(); 2], |slopes| slopes[entry].map(|lanes| lanes[i]));
-                let (q_re, q_im) = slopes.map_or(of_piston, |_| phasor(t.mul_add(x, u.mul_add(y, c))));
-                let along = match mode {
-                    Mode::Tip(_) => x,
-                    Mode::Tilt(_) => y,
-                    _ => T::one(),
-                };
-                put(block * BLOCK + i, weight * q_re, weight * q_im, along * T::narrow(self.turns_per_nm));
+                let part = [weight[i] * q_re[i], weight[i] * q_im[i]];
+                [d_re[i], d_im[i]] = along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm);
+            }
+            let row = &mut grid[2 * samples * (block / across)..][..2 * samples];
+            let (re, im) = row.split_at_mut(samples);
+            let first = block % across * BLOCK;
+            for (line, part) in [(re, &d_re), (im, &d_im)] {
+                let sum = take(&line[first..]);
+                put(&mut line[first..], &std::array::from_fn(|i| sum[i] + part[i]));
             }
         }
     }
+}
+
+/// i·2π·slope·phasor·part: the derivative of a part of the field by a phase.
+#[inline(always)]
+fn along_phase<T: Polynomial>([p_re, p_im]: [T; 2], [re, im]: [T; 2], slope: T) -> [T; 2] {
+    let factor = T::narrow(std::f64::consts::TAU) * slope;
+    let (re, im) = (p_re * re - p_im * im, p_re * im + p_im * re);
+    [-(factor * im), factor * re]
 }
 
 /// exp(2πi·(a + b)).

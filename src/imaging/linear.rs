@@ -6,13 +6,14 @@
 //! pixels; the whole pupil of n×n samples takes `4·n·m·(n + m)`. For one of 800 segments that is a
 //! thirtieth, and the cost of some rows is proportional to their number.
 
-use super::cpu::CpuChain;
-use super::field::Field;
+use super::cpu::{CpuChain, vectorised};
+use super::field::{Field, FieldState};
 use super::optics::{Mode, Optics};
 use super::pixels::Pixels;
 use crate::fourier::{Sampling, Transform};
 use cophase_numerics::product::{Matrix, MatrixMut};
 use ndarray::{ArrayView1, ArrayViewMut1, ArrayViewMut2};
+use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -29,7 +30,7 @@ pub struct LinearModel<'a> {
 /// The model at one wavelength.
 struct ColourState<'a> {
     field: &'a Field<f64>,
-    state: super::field::FieldState<f64>,
+    state: FieldState<f64>,
     transform: Transform<f64>,
     /// The focal field, row-planar. By the same transform as the derivatives: others differ by a
     /// phase.
@@ -55,15 +56,54 @@ impl CpuChain<f64> {
     }
 }
 
+/// [`Field::forward`] in the widest vectors of this CPU.
+struct Forward<'a> {
+    field: &'a Field<f64>,
+    coefficients_nm: ArrayView1<'a, f64>,
+    state: &'a mut FieldState<f64>,
+    pupil: &'a mut [f64],
+}
+
+impl NullaryFnOnce for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.field.forward(self.coefficients_nm, self.state, self.pupil);
+    }
+}
+
+/// [`Field::derivative`] in the widest vectors of this CPU.
+struct Derivative<'a> {
+    field: &'a Field<f64>,
+    mode: Mode,
+    state: &'a FieldState<f64>,
+    pupil: &'a mut [f64],
+}
+
+impl NullaryFnOnce for Derivative<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.field.derivative(self.mode, self.state, self.pupil);
+    }
+}
+
 impl<'a> ColourState<'a> {
     fn at(coefficients_nm: ArrayView1<f64>, field: &'a Field<f64>, sampling: Sampling) -> Self {
         let (n, m) = (sampling.samples, sampling.pixels);
         let transform = Transform::matrix(sampling);
         let mut state = field.state();
         let (mut pupil, mut focus) = (vec![0.0; 2 * n * n], vec![0.0; 2 * m * m]);
-        field.forward(coefficients_nm, &mut state, &mut pupil);
+        vectorised(Forward { field, coefficients_nm, state: &mut state, pupil: &mut pupil });
         transform.forward(&pupil, &mut focus, &mut transform.workspace());
         Self { field, state, transform, focus, waves: Waves::new(sampling), samples: n, pixels: m }
+    }
+
+    /// Adds the derivative of the field in the pupil by the coefficient of a mode.
+    fn derivative_of_field(&self, mode: Mode, pupil: &mut [f64]) {
+        vectorised(Derivative { field: self.field, mode, state: &self.state, pupil });
     }
 
     fn add_psf(&self, psf: &mut [f64]) {
@@ -81,7 +121,7 @@ impl<'a> ColourState<'a> {
             workspace: self.transform.workspace(),
         });
         pupil.fill(0.0);
-        self.field.derivative(mode, &self.state, pupil);
+        self.derivative_of_field(mode, pupil);
         self.transform.forward(pupil, focus, workspace);
         self.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
     }
@@ -99,7 +139,7 @@ impl<'a> ColourState<'a> {
         let (height, count) = (ys.len(), rows.len());
         // The derivative is written into the whole pupil; only the box is changed, and cleared
         // afterwards.
-        self.field.derivative(mode, &self.state, &mut buffers.pupil);
+        self.derivative_of_field(mode, &mut buffers.pupil);
         let samples = Matrix::from_rows(&buffers.pupil, n, 2 * n);
         let [d_re, d_im] = [0, n].map(|plane| samples.part(ys.clone(), plane + xs.start..plane + xs.end));
         let [c, s] = [&self.waves.cos, &self.waves.sin].map(|table| Matrix::from_rows(table, n, m));

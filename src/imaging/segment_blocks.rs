@@ -137,7 +137,7 @@ impl<T: Polynomial> SegmentBlocks<T> {
 
 /// exp(2πi·(c + t·x + u·y)).
 #[inline(always)]
-fn tilted<T: Polynomial>([c, t, u]: [T; 3], [x, y]: &[Lanes<T>; 2]) -> [Lanes<T>; 2] {
+pub(super) fn tilted<T: Polynomial>([c, t, u]: [T; 3], [x, y]: &[Lanes<T>; 2]) -> [Lanes<T>; 2] {
     let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
     for i in 0..BLOCK {
         (re[i], im[i]) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
