@@ -31,6 +31,7 @@ mod unknowns;
 use crate::Result;
 use crate::control::{Control, Stage};
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
+use crate::modal::assess::status::Status;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::{JointEstimate, LEAST_SHARE, amplitude_of, check_same_modes, fitted_amplitude};
 use crate::modal::combine::static_maps::StaticMaps;
@@ -42,12 +43,12 @@ use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Freedom, Group, Trial};
 use crate::modal::group::starts::fit_from_all;
 use crate::modal::prepare::cube::Cube;
-use crate::modal::solve::engine::{ImageFit, prepare_frames, reason_of_none};
-use crate::scene::System;
-use ndarray::{Array1, Array2, Axis, s};
+use crate::modal::solve::engine::{FitState, ImageFit, prepare_frames, reason_of_none};
+use crate::scene::{Optic, System};
+use ndarray::{Array2, Axis, s};
 use std::time::Instant;
 
-pub(crate) use starts::Minima;
+pub(crate) use starts::{Minima, Search};
 
 /// The images of one channel in a group, and the fitter of its scene.
 pub(crate) struct GroupChannel<'a> {
@@ -66,6 +67,8 @@ pub(crate) struct GroupEstimate {
     pub(crate) channels: Vec<std::result::Result<(ModalFitter, ModalEstimate), String>>,
     /// The minima that were found.
     pub(crate) minima: Minima,
+    /// Whether one wavefront explains every image.
+    pub(crate) is_explained: bool,
     /// Channel and number of the image that differs most from the wavefront of all, and the reduced
     /// χ² of its difference; `None` for fewer than three images.
     pub(crate) most_different: Option<([usize; 2], f64)>,
@@ -82,6 +85,7 @@ pub(crate) fn estimate_group(
     scene: &System,
     channels: Vec<GroupChannel>,
     near_nm: Option<&[f64]>,
+    search: Search,
     control: &Control,
 ) -> Result<GroupEstimate> {
     let started = Instant::now();
@@ -90,44 +94,24 @@ pub(crate) fn estimate_group(
     control.enter(Stage::Fitting, 0);
     let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
     let is_fitted = |[channel, image]: [usize; 2]| channels[channel].fitted[image];
-    let amplitude = fitted_amplitude(scene);
-    let mut group = Group::new(&own, &fits, is_fitted, amplitude.is_some())?;
-    let (mut best, mut minima) = fit_from_all(&mut group, near_nm, control)?;
-    let mut normal = Normal::new(&mut group, &best)?;
-    let share = normal.share_of_amplitude();
-    if amplitude.is_some() && share <= LEAST_SHARE {
-        // The images do not show the amplitude: it stays as the scene says.
-        group = Group::new(&own, &fits, is_fitted, false)?;
-        (best, minima) = fit_from_all(&mut group, near_nm, control)?;
-        normal = Normal::new(&mut group, &best)?;
-    }
-    group.gather_pistons(&mut best);
+    let found = Solution::new(scene, &own, &fits, is_fitted, (near_nm, search), control)?;
     control.enter(Stage::Combining, 0);
-    group.write(&best, &mut fits);
+    found.group.write(&found.best, &mut fits);
     let places = fits.iter().enumerate().flat_map(|(channel, fits)| (0..fits.len()).map(move |image| [channel, image]));
     for place in places.filter(|place| !is_fitted(*place)).collect::<Vec<_>>() {
-        let mut alone = Group::new(&own, &fits, |other| other == place, group.unknowns.amplitude().is_some());
+        let unknowns = &found.group.unknowns;
+        let sigma = unknowns.amplitude().map(|_| f64::INFINITY);
+        let mut alone = Group::new(&own, &fits, |other| other == place, sigma);
         // An image that cannot be used has its reason already.
         let Ok(alone) = &mut alone else { continue };
-        let compared = alone.fit(&best.point[..group.unknowns.shared()], Freedom::Tilts, &control.silent())?;
+        let compared = alone.fit(&found.best.point[..unknowns.shared()], Freedom::Tilts, &control.silent())?;
         alone.write(&compared, &mut fits);
     }
-    let factor = 1.0 + best.amplitude(&group);
-    let fitters = channels.iter().map(|channel| match amplitude {
-        Some(_) => channel.fitter.with_diversity_times(factor),
-        None => Ok(channel.fitter.clone()),
-    });
-    let fitters = fitters.collect::<Result<Vec<_>>>()?;
-    let mut joint = normal.estimate(&mut group, &best, &fitters[0])?;
-    joint.defocus = amplitude.and_then(|optic| {
-        let value = amplitude_of(optic, fitters.iter())?;
-        let scene = value / factor;
-        let sigma =
-            normal.sigma_of_amplitude().map_or(f64::INFINITY, |nm| scene.abs() * nm / group.amplitude_unit_nm());
-        Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share: share })
-    });
-    let differences = group.members.iter().map(|member| member.place).zip(normal.consistency.of_each);
-    let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| best.minima.len() > 2);
+    let fitters = own.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
+    let joint = found.joint(&fitters)?;
+    let is_explained = found.is_explained() && !joint.is_contradictory();
+    let differences = found.group.members.iter().map(|member| member.place).zip(found.normal.consistency.of_each);
+    let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| found.best.minima.len() > 2);
     let mut estimates = Vec::new();
     for (fitter, fits) in fitters.into_iter().zip(fits) {
         if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| reason_of_none(&fits)) {
@@ -140,7 +124,101 @@ pub(crate) fn estimate_group(
             if estimates.iter().any(std::result::Result::is_ok) { 0.0 } else { started.elapsed().as_secs_f64() };
         estimates.push(Ok((fitter, own)));
     }
-    Ok(GroupEstimate { joint, channels: estimates, minima, most_different })
+    Ok(GroupEstimate { joint, channels: estimates, minima: found.minima, is_explained, most_different })
+}
+
+/// The joint estimate of images that were fitted alone by `fitters` of the channels of `scene`,
+/// from `near_nm`; `None` where one wavefront does not explain them.
+///
+/// # Errors
+/// As [`estimate_group`].
+pub(in crate::modal) fn refined(
+    scene: &System,
+    fitters: &[&ModalFitter],
+    mut fits: Vec<Vec<ImageFit>>,
+    near_nm: &[f64],
+) -> Result<Option<JointEstimate>> {
+    fits.iter_mut().flatten().filter(|fit| fit.is_fitted()).for_each(|fit| fit.state = FitState::NotBegun);
+    let control = Control::default();
+    let found = Solution::new(scene, fitters, &fits, |_| true, (Some(near_nm), Search::First), &control)?;
+    let own = fitters.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
+    let joint = found.joint(&own)?;
+    Ok((found.is_explained() && !joint.is_contradictory()).then_some(joint))
+}
+
+/// The best minimum of a group, with its normal equations.
+struct Solution<'a> {
+    group: Group<'a>,
+    best: Trial,
+    minima: Minima,
+    normal: Normal,
+    /// The word of `estimate.fit_optics` that fits the amplitude of the diversities.
+    amplitude: Option<Optic>,
+    /// See [`Normal::share_of_amplitude`].
+    share: f64,
+}
+
+impl<'a> Solution<'a> {
+    /// Fits the images `is_fitted` of `fits` from the starts of `search`.
+    ///
+    /// # Errors
+    /// As [`estimate_group`].
+    fn new(
+        scene: &System,
+        fitters: &[&'a ModalFitter],
+        fits: &[Vec<ImageFit>],
+        is_fitted: impl Fn([usize; 2]) -> bool,
+        search: (Option<&[f64]>, Search),
+        control: &Control,
+    ) -> Result<Self> {
+        let amplitude = fitted_amplitude(scene);
+        let known_to = Some(scene.estimate.diversity_error).filter(|sigma| *sigma > 0.0);
+        let mut group = Group::new(fitters, fits, &is_fitted, amplitude.map(|_| f64::INFINITY).or(known_to))?;
+        let (mut best, mut minima) = fit_from_all(&mut group, search, control)?;
+        let mut normal = Normal::new(&mut group, &best)?;
+        let share = normal.share_of_amplitude();
+        if amplitude.is_some() && share <= LEAST_SHARE {
+            // The images do not show the amplitude: it stays as the scene says.
+            group = Group::new(fitters, fits, &is_fitted, None)?;
+            (best, minima) = fit_from_all(&mut group, search, control)?;
+            normal = Normal::new(&mut group, &best)?;
+        }
+        group.gather_pistons(&mut best);
+        Ok(Self { group, best, minima, normal, amplitude, share })
+    }
+
+    /// Whether the wavefront explains every image.
+    fn is_explained(&self) -> bool {
+        let each = self.group.members.iter().zip(&self.best.minima);
+        each.map(|(member, minimum)| member.status(minimum)).all(|status| status == Status::Ok)
+    }
+
+    /// Factor of the diversities that was found.
+    fn factor(&self) -> f64 {
+        1.0 + self.best.amplitude(&self.group)
+    }
+
+    /// `fitter` with the diversity that was found.
+    fn fitter(&self, fitter: &ModalFitter) -> Result<ModalFitter> {
+        match self.group.unknowns.amplitude() {
+            Some(_) => fitter.with_diversity_times(self.factor()),
+            None => Ok(fitter.clone()),
+        }
+    }
+
+    /// The joint estimate, where `fitters` have the diversities that were found.
+    fn joint(&self, fitters: &[ModalFitter]) -> Result<JointEstimate> {
+        let mut joint = self.normal.estimate(&self.group, &self.best, &fitters[0])?;
+        joint.defocus = self.amplitude.and_then(|optic| {
+            let value = amplitude_of(optic, fitters.iter())?;
+            let scene = value / self.factor();
+            let relative = self.normal.sigma_of_amplitude().map(|nm| nm / self.group.amplitude_unit_nm());
+            let sigma = relative.map_or(f64::INFINITY, |sigma| scene.abs() * sigma);
+            let identifiable_share = self.share;
+            Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share })
+        });
+        Ok(joint)
+    }
 }
 
 impl ModalFitter {
@@ -166,6 +244,8 @@ impl ModalFitter {
 
 /// Normal equations of a group at its minimum.
 struct Normal {
+    /// Gauss-Newton matrix of each image.
+    each: Vec<Array2<f64>>,
     /// Gauss-Newton matrix of the unknowns with the inverse covariance of the prior.
     information: Array2<f64>,
     /// See [`null_floor`].
@@ -188,7 +268,8 @@ impl Normal {
         let information = group.sum_of(&each) / inflation + &best.precision;
         let floor = null_floor(information.nrows(), group.pixels());
         let covariance = pseudo_inverse(&information, floor)?;
-        Ok(Self { information, floor, covariance, amplitude: group.unknowns.amplitude(), consistency, inflation })
+        let amplitude = group.unknowns.amplitude();
+        Ok(Self { each, information, floor, covariance, amplitude, consistency, inflation })
     }
 
     /// Share of the information on the amplitude of the diversities that the other unknowns leave;
@@ -209,24 +290,19 @@ impl Normal {
     }
 
     /// The estimate of the modes, without the amplitude of the diversities.
-    fn estimate(&self, group: &mut Group, best: &Trial, first: &ModalFitter) -> Result<JointEstimate> {
+    fn estimate(&self, group: &Group, best: &Trial, first: &ModalFitter) -> Result<JointEstimate> {
         let modes = first.model.optics.modes();
         let mut coefficients_nm = best.point[..modes].to_vec();
         first.motions.remove(&mut coefficients_nm);
         let own = self.covariance.slice(s![..modes, ..modes]).to_owned();
-        let mut covariance_nm2 = first.motions.removed_from(&own);
+        let covariance_nm2 = first.motions.removed_from(&own);
         let diversity_effect_nm = match self.amplitude {
             Some(_) => None,
             None => {
-                let mut right = Array1::zeros(self.covariance.nrows());
-                group.add_effect_of_diversities(best, &mut right)?;
+                let right = group.effect_of_diversities(&self.each)?;
                 Some(self.covariance.dot(&(right / self.inflation)).slice(s![..modes]).to_owned())
             }
         };
-        if let Some(effect_nm) = &diversity_effect_nm {
-            let column = (effect_nm * first.scene.estimate.diversity_error).insert_axis(Axis(1));
-            covariance_nm2 += &column.dot(&column.t());
-        }
         let combined = CombinedModes { coefficients_nm, covariance_nm2 };
         Ok(JointEstimate {
             maps: StaticMaps::of_modes(&first.model, &combined),

@@ -24,8 +24,11 @@ use crate::control::Control;
 use crate::modal::assess::status::Status;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::diversity_error::has_diversity;
+use crate::modal::combine::integers::are_determined;
 use crate::modal::combine::joint::{contradict, joint};
 use crate::modal::estimate::image_fits::FittedCube;
+use crate::modal::fitter::ModalFitter;
+use crate::modal::group::refined;
 use crate::modal::session::channel_fitters::ChannelFitters;
 use crate::scene::Weighting;
 use crate::{Error, Result};
@@ -160,10 +163,10 @@ impl Session {
     }
 
     /// The result of a group of the last fit with its covariance: in one channel that of the noise
-    /// at the fitted wavefront, scaled by χ² where the model misfits. The fits of several channels
-    /// are combined by the information at their wavefronts, and the whole wavelengths of pistons
-    /// found: the estimate of [`Estimator`](crate::pipeline::Estimator) by the policy realtime from
-    /// the same frames. It allocates, and takes some hundred evaluations of each channel.
+    /// at the fitted wavefront, scaled by χ² where the model misfits. The images of several
+    /// channels are fitted together, and the whole wavelengths of pistons found: the estimate of
+    /// [`Estimator`](crate::pipeline::Estimator) by the policy realtime from the same frames. It
+    /// allocates, and takes some hundred evaluations of each channel.
     ///
     /// # Errors
     /// [`Error::Value`] for a group that was not fitted or that no mode changes, and unless the
@@ -182,6 +185,19 @@ impl Session {
                 self.fitted
             )));
         }
+        let scene = self.fitters.scene();
+        let wavelengths_nm: Vec<f64> =
+            self.fitters.iter().map(|(_, fitter)| fitter.model.optics.parts().wavelength_nm).collect();
+        let own: Vec<&ModalFitter> = self.fitters.iter().map(|(_, fitter)| &**fitter).collect();
+        let together = |near_nm: &[f64]| {
+            let fits = self.channels.iter().map(|channel| vec![channel.fits()[group].clone()]);
+            refined(scene, &own, fits.collect(), near_nm)
+        };
+        if !are_determined(&wavelengths_nm)
+            && let Some(joint) = together(&self.results[group].coefficients_nm)?
+        {
+            return Ok(joint.into());
+        }
         let found = self.channels.iter().map(|channel| {
             let fitted = FittedCube::from_fits(vec![channel.fits()[group].clone()]);
             combine(channel.fitter(), fitted, false).map_err(|error| error.of_channel(channel.name()))
@@ -189,13 +205,12 @@ impl Session {
         let found = found.collect::<Result<Vec<_>>>()?;
         let each: Vec<_> =
             self.channels.iter().zip(&found).map(|(channel, found)| (&**channel.fitter(), found)).collect();
-        let joint = joint(self.fitters.scene(), &each)?;
-        Ok(RefinedGroup {
-            disagreement: joint.disagreement,
-            is_contradictory: joint.is_contradictory(),
-            modes: joint.modes,
-            integers: joint.integers,
-        })
+        let joint = joint(scene, &each)?;
+        let near_nm = &joint.modes.coefficients_nm;
+        match (!joint.is_contradictory()).then(|| together(near_nm)).transpose()?.flatten() {
+            Some(found) => Ok(RefinedGroup { integers: joint.integers, ..found.into() }),
+            None => Ok(joint.into()),
+        }
     }
 
     /// Cancels the running fit, or else the next, from another thread.

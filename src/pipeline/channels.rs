@@ -59,9 +59,8 @@ pub(super) fn estimate(
     if let [ChannelImages { name: None, .. }] = channels {
         return own.only(series);
     }
-    let (fits, found) = own.fit_with_extensions(series)?;
-    let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
-    combined(scene, found, names(&all), each)
+    let begun = own.fit(series)?;
+    own.estimate(begun)
 }
 
 /// The channels of a scene, and how they are fitted.
@@ -124,10 +123,17 @@ impl<'a> Channels<'a> {
         Ok(estimate)
     }
 
-    /// Fits each channel; all by the same modes, which are those of a scene that was extended where
-    /// one channel asks for it.
-    fn fit_with_extensions(&self, series: Option<&mut [FitSeries]>) -> Result<(Vec<Fitted>, JointEstimate)> {
-        let (mut fits, joint) = self.fit(series)?;
+    /// The estimate from the fits of several channels.
+    pub(super) fn estimate(&self, begun: (Vec<Fitted>, JointEstimate)) -> Result<Estimate> {
+        let (fits, found) = self.with_extensions(begun)?;
+        let each = fits.into_iter().map(|fitted| fitted.into_estimate(&self.policy)).collect::<Result<Vec<_>>>()?;
+        combined(self.scene, found, names(self.channels), each)
+    }
+
+    /// The fits of each channel; all by the same modes, which are those of a scene that was
+    /// extended where one channel asks for it.
+    fn with_extensions(&self, begun: (Vec<Fitted>, JointEstimate)) -> Result<(Vec<Fitted>, JointEstimate)> {
+        let (mut fits, joint) = begun;
         let Some((chosen, selected)) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
         let extended = self.extended(&selected.extensions)?;
         let (mut fits, joint) = extended.fit(None)?;

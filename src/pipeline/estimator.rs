@@ -5,7 +5,7 @@ use super::consistency::{Electrons, reconcile};
 use super::cut_out::scene_of_cut_out;
 use super::divided_images::DividedImages;
 use super::estimate::Estimate;
-use super::group::{is_group, refuse_parts};
+use super::group::{Together, refuse_parts};
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
@@ -132,14 +132,14 @@ impl Estimator {
         let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
             Method::FullPhase => full_phase::estimate(&scene, policy, control, &channels),
-            Method::Modal | Method::Auto if is_group(&scene, policy, &channels)? => match parts {
-                None => group::estimate(&scene, policy, control, &channels),
-                Some(_) => Err(refuse_parts(&scene)),
+            Method::Modal | Method::Auto => match (Together::of(&scene, policy, &channels)?, parts) {
+                (Some(together), None) => group::estimate(&scene, policy, control, &channels, &together),
+                (Some(_), Some(_)) => Err(refuse_parts(&scene)),
+                (None, parts) => {
+                    let series = self.series(parts, &scene, &channels)?;
+                    channels::estimate(&scene, policy, control, &channels, series)
+                }
             },
-            Method::Modal | Method::Auto => {
-                let series = self.series(parts, &scene, &channels)?;
-                channels::estimate(&scene, policy, control, &channels, series)
-            }
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;

@@ -7,73 +7,106 @@ use super::modal_task::Fitted;
 use super::policy::Policy;
 use super::warnings::group_warnings;
 use crate::control::{Control, Stage};
-use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, are_determined, is_weak};
-use crate::scene::{Grouping, Optic, Scene, Weighting};
+use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, Search, are_determined, is_weak};
+use crate::scene::{DeviceChoice, Grouping, Optic, Precision, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
 use std::time::Instant;
 
-/// Whether the images of `channels` are fitted together.
-///
-/// # Errors
-/// Those of the diversities; [`Error::Scene`] for settings that a fit of several images together
-/// does not have.
-pub(super) fn is_group(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<bool> {
-    if scene.estimate.posterior && (channels.len() > 1 || scene.estimate.group == Grouping::All) {
-        return Err(Error::Scene(format!(
-            "{}: estimate.posterior = true is for images of one channel that are fitted alone; leave it out",
-            scene.name()
-        )));
-    }
-    let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
-    let alone = || match &scene.estimate.fitted_images {
-        None => Ok(false),
-        Some(_) => Err(Error::Scene(format!(
-            "{}: estimate.fitted_images names images that are fitted together, and each is fitted alone here; leave it out, or set \
-             estimate.group = \"all\"",
-            scene.name()
-        ))),
-    };
-    let why = match scene.estimate.group {
-        Grouping::Each => return alone(),
-        Grouping::All if images > 1 => "estimate.group = \"all\" fits all images together".to_owned(),
-        Grouping::All => {
+/// How the images of several channels are fitted together.
+pub(super) struct Together {
+    /// Which channels are in focus or have less than half a wave of diversity.
+    weak: Vec<bool>,
+    /// Whether the images are fitted alone, by channel, where one wavefront does not explain them.
+    may_be_alone: bool,
+}
+
+impl Together {
+    /// How the images of `channels` are fitted together; `None` where each is fitted alone.
+    ///
+    /// # Errors
+    /// Those of the diversities; [`Error::Scene`] for settings that a fit of several images
+    /// together does not have.
+    pub(super) fn of(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<Option<Self>> {
+        if scene.estimate.posterior && (channels.len() > 1 || scene.estimate.group == Grouping::All) {
             return Err(Error::Scene(format!(
-                "{}: estimate.group = \"all\" fits all images together, and there is one: two or more are needed",
+                "{}: estimate.posterior = true is for images of one channel that are fitted alone; leave it out",
                 scene.name()
             )));
         }
-        Grouping::Auto if channels.len() < 2 => return alone(),
-        Grouping::Auto => {
-            let mut weak = None;
-            for channel in channels {
-                if is_weak(&channel.scene)? {
-                    weak = channel.name;
-                    break;
-                }
-            }
-            let Some(name) = weak else { return alone() };
-            format!(
-                "the channel '{name}' is in focus or has less than half a wave of diversity, so that all images are fitted together"
-            )
+        let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
+        let alone = || match &scene.estimate.fitted_images {
+            None => Ok(None),
+            Some(_) => Err(Error::Scene(format!(
+                "{}: estimate.fitted_images names images that are fitted together, and each is fitted alone here; leave it out, or set \
+                 estimate.group = \"all\"",
+                scene.name()
+            ))),
+        };
+        if scene.estimate.group == Grouping::Each || (scene.estimate.group == Grouping::Auto && channels.len() < 2) {
+            return alone();
         }
-    };
-    let other = scene.estimate.fit_optics.iter().find(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic));
-    if let Some(optic) = other {
-        return Err(Error::Scene(format!(
-            "{}: {why}, where estimate.fit_optics = [\"{}\"] is not fitted; \"defocus\" and \"diversity\" are (estimate.group = \"each\" fits each \
-             image alone)",
-            scene.name(),
-            optic.word()
-        )));
+        let weak = channels.iter().map(|channel| is_weak(&channel.scene)).collect::<Result<Vec<_>>>()?;
+        let why = match scene.estimate.group {
+            Grouping::All if images > 1 => "estimate.group = \"all\" fits all images together".to_owned(),
+            Grouping::All => {
+                return Err(Error::Scene(format!(
+                    "{}: estimate.group = \"all\" fits all images together, and there is one: two or more are needed",
+                    scene.name()
+                )));
+            }
+            _ => match channels.iter().zip(&weak).find(|(_, is_weak)| **is_weak) {
+                Some((channel, _)) => format!(
+                    "the channel '{}' is in focus or has less than half a wave of diversity, so that all images are fitted together",
+                    channel.name.unwrap_or_default()
+                ),
+                None if is_one_of_each(scene, policy, channels) => {
+                    return Ok(Some(Self { weak, may_be_alone: true }));
+                }
+                None => return alone(),
+            },
+        };
+        if let Some(optic) = other_optic(scene) {
+            return Err(Error::Scene(format!(
+                "{}: {why}, where estimate.fit_optics = [\"{}\"] is not fitted; \"defocus\" and \"diversity\" are (estimate.group = \"each\" fits each \
+                 image alone)",
+                scene.name(),
+                optic.word()
+            )));
+        }
+        if policy.recipe(scene).weighting != Weighting::Noise {
+            return Err(Error::Scene(format!(
+                "{}: {why}, which needs weights by the noise: estimate.weighting = \"noise\"",
+                scene.name()
+            )));
+        }
+        Ok(Some(Self { weak, may_be_alone: false }))
     }
-    if policy.recipe(scene).weighting != Weighting::Noise {
-        return Err(Error::Scene(format!(
-            "{}: {why}, which needs weights by the noise: estimate.weighting = \"noise\"",
-            scene.name()
-        )));
+
+    fn search(&self) -> Search {
+        match self {
+            // Fits of single images find the minimum where the first one does not.
+            Self { may_be_alone: true, .. } => Search::First,
+            Self { weak, .. } if weak.contains(&true) => Search::All,
+            _ => Search::IfNeeded,
+        }
     }
-    Ok(true)
+}
+
+/// Whether `channels` have one image each, which are fitted together where nothing in the scene
+/// asks for what a group does not have.
+fn is_one_of_each(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> bool {
+    let estimate = &scene.estimate;
+    channels.iter().all(|channel| channel.images.len() == 1)
+        && other_optic(scene).is_none()
+        && policy.recipe(scene).weighting == Weighting::Noise
+        && matches!(estimate.device, DeviceChoice::Auto | DeviceChoice::Cpu)
+        && estimate.precision() == Precision::F64
+}
+
+/// An optical parameter that is to be fitted and that a group does not fit.
+fn other_optic(scene: &Scene) -> Option<&Optic> {
+    scene.estimate.fit_optics.iter().find(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic))
 }
 
 /// Which images of each channel are fitted.
@@ -119,91 +152,135 @@ pub(super) fn estimate(
     policy: &Policy,
     control: &Control,
     channels: &[ChannelImages],
+    together: &Together,
 ) -> Result<Estimate> {
-    let started = Instant::now();
+    let (started, which) = (Instant::now(), fitted_images(scene, channels)?);
     control.enter(Stage::Preparing, 0);
-    let which = fitted_images(scene, channels)?;
-    let own = channels.iter().zip(&which).map(|(channel, fitted)| {
-        let own = channel.scene.changed(|sections| {
-            sections.estimate.fit_optics.clear();
-            sections.estimate.group = Grouping::Each;
-            sections.estimate.fitted_images = None;
-            sections.estimate.posterior = false;
-        })?;
-        let recipe = policy.recipe(&own);
-        let fitter = modal::fitter_for(&own, recipe, &channel.cache, channel.images.cube())?;
-        control.check("the models were built in part, no image was fitted")?;
-        Ok((own, GroupChannel { fitter, cube: channel.images.cube(), fitted: fitted.clone() }))
-    });
-    let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    let model_seconds = started.elapsed().as_secs_f64();
-    let near = near_wavefront(scene, policy, control, channels)?;
-    let near_nm = near.as_ref().map(|near| near.modes.coefficients_nm.as_slice());
-    let GroupEstimate { mut joint, channels: fits, minima, most_different } =
-        modal::estimate_group(scene, members, near_nm, control)?;
-    joint.integers = near.map(|near| near.integers).unwrap_or_default();
-    control.check("the images were fitted, nothing was written")?;
-    let (mut each, mut used, mut refused, mut compared) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (((fit, own), channel), fitted) in fits.into_iter().zip(scenes).zip(channels).zip(which) {
-        let fit = match fit {
-            Ok(fit) => fit,
-            Err(reason) => {
-                let of = channel.name.map(|name| format!("channel {name}: ")).unwrap_or_default();
-                refused.push(format!("{of}no image can be used: {reason}"));
-                continue;
+    let strong = channels.iter().zip(&together.weak).filter(|(_, is_weak)| !**is_weak);
+    let strong: Vec<&ChannelImages> = strong.map(|(channel, _)| channel).collect();
+    let alone = Channels::new(scene, policy, control, &strong)?;
+    let task = GroupTask { scene, policy, control, channels, together, which, started };
+    let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
+    let is_near_known = match strong.len() {
+        0 => false,
+        all if all == channels.len() => are_determined(&wavelengths_nm),
+        _ => true,
+    };
+    let near = is_near_known.then(|| alone.fit(None)).transpose()?;
+    if !together.may_be_alone {
+        let near = near.filter(|(_, near)| !near.is_contradictory());
+        return task.estimate(task.fit(near.as_ref())?);
+    }
+    let near = match near {
+        Some(near) => near,
+        None => {
+            let found = task.fit(None)?;
+            if found.group.is_explained && !found.group.minima.is_suspicious {
+                return task.estimate(found);
             }
-        };
-        let scene = own.adopting(fit.0.scene())?;
-        let model_seconds = if each.is_empty() { model_seconds } else { 0.0 };
-        let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
-        let mut own = fit.into_estimate(policy)?;
-        for (image, _) in own.images.iter_mut().zip(fitted).filter(|(_, is_fitted)| !is_fitted) {
-            image.is_used = false;
-            if image.report.reduced_chi2.is_finite() {
-                compared.push(image.report.reduced_chi2);
-                let reason = if image.message.is_empty() { String::new() } else { format!("; {}", image.message) };
-                image.message = format!("compared with the wavefront of other images{reason}");
-            }
+            alone.fit(None)?
         }
-        each.push(own);
-        used.push(channel);
+    };
+    if near.1.is_contradictory() {
+        return alone.estimate(near);
     }
-    let is_contradictory = joint.is_contradictory();
-    let mut estimate = combined(scene, joint, names(&used), each)?;
-    estimate.warnings.splice(0..0, refused);
-    if let Some(([channel, image], chi2)) = most_different.filter(|_| is_contradictory) {
-        let of = channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
-        estimate.warnings.push(format!(
-            "image {image}{of} differs most from the wavefront of all: the reduced χ² of its difference is {chi2:.1}"
-        ));
-    }
-    estimate.warnings.splice(0..0, group_warnings(&estimate.images));
-    estimate.warnings.extend(warnings(&minima));
-    estimate.remarks.insert(0, remark(&estimate, &compared, &minima));
-    Ok(estimate)
+    let found = task.fit(Some(&near))?;
+    if found.group.is_explained { task.estimate(found) } else { alone.estimate(near) }
 }
 
-/// The estimate from those of `channels` whose images can be fitted alone, where there are others
-/// or several wavelengths, and they are of one wavefront.
-fn near_wavefront(
-    scene: &Scene,
-    policy: &Policy,
-    control: &Control,
-    channels: &[ChannelImages],
-) -> Result<Option<JointEstimate>> {
-    let mut strong = Vec::new();
-    for channel in channels {
-        if !is_weak(&channel.scene)? {
-            strong.push(channel);
+/// An estimate of images that are fitted together.
+struct GroupTask<'a> {
+    scene: &'a Scene,
+    policy: &'a Policy,
+    control: &'a Control,
+    channels: &'a [ChannelImages<'a>],
+    together: &'a Together,
+    /// Which images of each channel are fitted.
+    which: Vec<Vec<bool>>,
+    started: Instant,
+}
+
+/// What a fit of a group finds.
+struct GroupFit {
+    group: GroupEstimate,
+    /// The scene of each channel.
+    scenes: Vec<Scene>,
+    model_seconds: f64,
+}
+
+impl GroupTask<'_> {
+    /// Fits the images, near the wavefront of those that were fitted alone.
+    fn fit(&self, near: Option<&(Vec<Fitted>, JointEstimate)>) -> Result<GroupFit> {
+        let began = Instant::now();
+        let mut known = near.iter().flat_map(|(fits, _)| fits).peekable();
+        let each = self.channels.iter().zip(&self.which).zip(&self.together.weak);
+        let own = each.map(|((channel, fitted), is_weak)| {
+            let own = channel.scene.changed(|sections| {
+                sections.estimate.fit_optics.clear();
+                sections.estimate.group = Grouping::Each;
+                sections.estimate.fitted_images = None;
+                sections.estimate.posterior = false;
+            })?;
+            let fitter = match known.next_if(|_| !is_weak) {
+                Some(fitted) => fitted.fit.0.clone(),
+                None => modal::fitter_for(&own, self.policy.recipe(&own), &channel.cache, channel.images.cube())?,
+            };
+            self.control.check("the models were built in part, no image was fitted")?;
+            Ok((own, GroupChannel { fitter, cube: channel.images.cube(), fitted: fitted.clone() }))
+        });
+        let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        let model_seconds = began.elapsed().as_secs_f64();
+        let near_nm = near.map(|(_, near)| near.modes.coefficients_nm.as_slice());
+        let mut group = modal::estimate_group(self.scene, members, near_nm, self.together.search(), self.control)?;
+        group.joint.integers = near.map(|(_, near)| near.integers.clone()).unwrap_or_default();
+        self.control.check("the images were fitted, nothing was written")?;
+        Ok(GroupFit { group, scenes, model_seconds })
+    }
+
+    /// The estimate from a fit.
+    fn estimate(&self, found: GroupFit) -> Result<Estimate> {
+        let GroupFit { group, scenes, model_seconds } = found;
+        let GroupEstimate { joint, channels: fits, minima, most_different, .. } = group;
+        let (mut each, mut used, mut refused, mut compared) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (((fit, own), channel), fitted) in fits.into_iter().zip(scenes).zip(self.channels).zip(&self.which) {
+            let fit = match fit {
+                Ok(fit) => fit,
+                Err(reason) => {
+                    let of = channel.name.map(|name| format!("channel {name}: ")).unwrap_or_default();
+                    refused.push(format!("{of}no image can be used: {reason}"));
+                    continue;
+                }
+            };
+            let scene = own.adopting(fit.0.scene())?;
+            let model_seconds = if each.is_empty() { model_seconds } else { 0.0 };
+            let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
+            let mut own = fit.into_estimate(self.policy)?;
+            for (image, _) in own.images.iter_mut().zip(fitted).filter(|(_, is_fitted)| !**is_fitted) {
+                image.is_used = false;
+                if image.report.reduced_chi2.is_finite() {
+                    compared.push(image.report.reduced_chi2);
+                    let reason = if image.message.is_empty() { String::new() } else { format!("; {}", image.message) };
+                    image.message = format!("compared with the wavefront of other images{reason}");
+                }
+            }
+            each.push(own);
+            used.push(channel);
         }
+        let is_contradictory = joint.is_contradictory();
+        let mut estimate = combined(self.scene, joint, names(&used), each)?;
+        estimate.run.seconds = self.started.elapsed().as_secs_f64() - model_seconds;
+        estimate.warnings.splice(0..0, refused);
+        if let Some(([channel, image], chi2)) = most_different.filter(|_| is_contradictory) {
+            let of = self.channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
+            estimate.warnings.push(format!(
+            "image {image}{of} differs most from the wavefront of all: the reduced χ² of its difference is {chi2:.1}"
+        ));
+        }
+        estimate.warnings.splice(0..0, group_warnings(&estimate.images));
+        estimate.warnings.extend(warnings(&minima));
+        estimate.remarks.insert(0, remark(&estimate, &compared, &minima));
+        Ok(estimate)
     }
-    let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
-    if strong.is_empty() || (strong.len() == channels.len() && !are_determined(&wavelengths_nm)) {
-        return Ok(None);
-    }
-    let policy = Policy { select_model: false, ..*policy };
-    let (_, found) = Channels::new(scene, &policy, control, &strong)?.fit(None)?;
-    Ok(Some(found).filter(|found| !found.is_contradictory()))
 }
 
 /// Warnings on the minima of a fit.
@@ -228,6 +305,9 @@ fn warnings(minima: &Minima) -> Vec<String> {
 /// What a user should know of the fit, and of the images that were compared with it.
 fn remark(estimate: &Estimate, compared_chi2: &[f64], minima: &Minima) -> String {
     let images = estimate.images.iter().filter(|image| image.is_used).count();
+    if minima.starts == 1 && compared_chi2.is_empty() {
+        return format!("{images} images were fitted together.");
+    }
     let next = match minima.next {
         Some(next) => format!("the next minimum is at Δχ² = {next:.0}"),
         None => "no other minimum was found".into(),

@@ -112,8 +112,9 @@ section! {
         model: ModelChoice, ANY, default(ModelChoice::Auto);
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the recipes of Lamb et al.");
-        /// Images that are of one wavefront and are fitted together; "auto" takes all images where
-        /// one of several channels is in focus or has less than half a wave RMS of diversity.
+        /// Images that are of one wavefront and are fitted together; "auto" takes one image of each
+        /// of several channels, and all images where one of these is in focus or has less than half
+        /// a wave RMS of diversity.
         group: Grouping, ANY, default(Grouping::Auto);
         /// Images that are fitted together, counted from 0 over the images of all channels. The
         /// others are compared with the wavefront of these: tip, tilt, flux and background of each

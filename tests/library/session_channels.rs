@@ -53,18 +53,20 @@ fn agreement(session: &Session, estimate: &Estimate) -> (f64, [f64; 2]) {
     (off, [extreme(f64::min), extreme(f64::max)])
 }
 
-/// The refined fit is the estimate: the same matrices from fits that are the same to the bit, but
-/// for the last digits of χ².
+/// The refined fit is the estimate: the minimum of one objective from two starts, within a tenth of
+/// the step at which a fit stops, 1e-3 nm or 1e-2 of an error bar. The levels of the prior are
+/// settled to 2 %, and with them the covariance to less.
 fn refines_to(session: &Session, estimate: &Estimate) {
     let refined = session.refine(0).unwrap();
     let sigma_nm = estimate.modes.sigma_nm();
     for (mode, sigma) in sigma_nm.iter().enumerate() {
         let off = (refined.modes.coefficients_nm[mode] - estimate.modes.coefficients_nm[mode]).abs();
-        assert!(off < 1e-5 * sigma, "{mode}: {off} of {sigma}");
+        assert!(off < 1e-3 * sigma, "{mode}: {off} of {sigma}");
     }
     let largest = sigma_nm.iter().fold(0.0, |most: f64, sigma| most.max(sigma * sigma));
     let off: Array2<f64> = &refined.modes.covariance_nm2 - &estimate.modes.covariance_nm2;
-    assert!(off.iter().all(|nm2| nm2.abs() < 1e-6 * largest));
+    let off = off.iter().fold(0.0, |most: f64, nm2| most.max(nm2.abs())) / largest;
+    assert!(off < 0.01, "{off}");
     assert_eq!(refined.integers.len(), estimate.integers.len());
     assert!(refined.integers.iter().zip(&estimate.integers).all(|(a, b)| a.integer == b.integer));
 }
@@ -89,7 +91,9 @@ fn a_session_agrees_with_the_estimate() {
         println!("{error}: off {off:.3} σ, ratios {ratios:?}, χ² {:?}", fit.disagreement);
         assert!(off < 0.25, "{off}");
         assert!(ratios[0] > 0.85 && ratios[1] < 1.15, "{ratios:?}");
-        for (image, fit) in found.images.iter().zip(fits(&session)) {
+        // A session fits each image alone, and refines to the fit of all.
+        let alone = estimate(&scene.with(&[("estimate.group", "each")]).unwrap(), &images);
+        for (image, fit) in alone.images.iter().zip(fits(&session)) {
             assert_eq!(image.report.evaluations, fit.report.evaluations);
         }
         refines_to(&session, &found);

@@ -4,6 +4,7 @@
 use crate::control::Control;
 use crate::modal::assess::fisher::null_floor;
 use crate::modal::assess::tilts::spanned_tip_and_tilt;
+use crate::modal::combine::integers::are_determined;
 use crate::modal::combine::pistons;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::member::{Member, chain_with_amplitude};
@@ -38,6 +39,8 @@ pub(super) struct Group<'a> {
     pub(super) prior: Prior,
     /// The largest diversity, nm RMS over its samples: the unit of the amplitude.
     unit_nm: f64,
+    /// Standard deviation of the amplitude before the images say more, nm; infinite for none.
+    amplitude_nm: f64,
     step_weights: Arc<[f64]>,
 }
 
@@ -47,8 +50,11 @@ pub(super) enum Freedom {
     /// Everything, until it is clear which minimum it is: one renewal of the weights, steps of an
     /// error bar.
     Minimum,
-    /// Everything, with the weights of the model at the minimum and the levels of the prior.
+    /// Everything, with the weights of the model at the minimum and the levels of the prior, from
+    /// a start near the minimum.
     Wavefront,
+    /// The same from a start that may be far: the first weights are those of the data.
+    Whole,
     /// Tip and tilt of the first image, with the weights of the model.
     Tilts,
 }
@@ -94,7 +100,8 @@ impl Trial {
 
 impl<'a> Group<'a> {
     /// The images of each channel that can be used, `fits`, by its fitter: those `chosen` by
-    /// channel and number.
+    /// channel and number. The amplitude of their diversities is unknown where it has a relative
+    /// standard deviation, infinite for none before the images.
     ///
     /// # Errors
     /// [`Error::Image`] where there is none; [`Error::Scene`] for an amplitude of diversities that
@@ -103,19 +110,22 @@ impl<'a> Group<'a> {
         fitters: &[&'a ModalFitter],
         fits: &[Vec<ImageFit>],
         chosen: impl Fn([usize; 2]) -> bool,
-        has_amplitude: bool,
+        amplitude_sigma: Option<f64>,
     ) -> Result<Self> {
         let rms_nm = |fitter: &&ModalFitter| {
             let diversity_nm = &fitter.model.optics.parts().diversity_nm;
             (diversity_nm.iter().map(|nm| nm * nm).sum::<f64>() / diversity_nm.len() as f64).sqrt()
         };
         let unit_nm = fitters.iter().map(rms_nm).fold(0.0, f64::max);
-        if has_amplitude && unit_nm == 0.0 {
+        if amplitude_sigma.is_some_and(f64::is_infinite) && unit_nm == 0.0 {
             return Err(Error::Scene(
                 "the amplitude of the diversities is to be fitted (estimate.fit_optics), and all of them are 0: one that is not is needed"
                     .into(),
             ));
         }
+        // An error of nothing is nothing.
+        let amplitude_nm = amplitude_sigma.filter(|_| unit_nm > 0.0).map(|sigma| sigma * unit_nm);
+        let has_amplitude = amplitude_nm.is_some();
         let mut members = Vec::new();
         for (channel, (fitter, fits)) in fitters.iter().zip(fits).enumerate() {
             let chain = if has_amplitude { chain_with_amplitude(fitter, unit_nm)? } else { fitter.reference.clone() };
@@ -129,7 +139,10 @@ impl<'a> Group<'a> {
         }
         let model = &members[0].fitter.model;
         let tilts = spanned_tip_and_tilt(model)?;
-        let prior = Prior::new(model, tilts.clone());
+        let wavelengths_nm: Vec<f64> =
+            members.iter().map(|member| member.fitter.model.optics.parts().wavelength_nm).collect();
+        let range_nm = members[0].fitter.scene.modes.piston_range_nm;
+        let prior = Prior::new(model, tilts.clone(), are_determined(&wavelengths_nm).then_some(range_nm));
         let unknowns = Unknowns::new(model.optics.modes(), has_amplitude, tilts, members.len());
         // Of a step of the own tips and tilts the mean over the images counts.
         let own = 1.0 / members.len() as f64;
@@ -138,7 +151,8 @@ impl<'a> Group<'a> {
         if let Some(place) = unknowns.amplitude() {
             step_weights[place] = 1.0;
         }
-        Ok(Self { members, unknowns, prior, unit_nm, step_weights: step_weights.into() })
+        let amplitude_nm = amplitude_nm.unwrap_or(f64::INFINITY);
+        Ok(Self { members, unknowns, prior, unit_nm, amplitude_nm, step_weights: step_weights.into() })
     }
 
     /// Unit of the amplitude, nm.
@@ -169,9 +183,12 @@ impl<'a> Group<'a> {
         self.for_each(point, |member, coefficients| member.information(coefficients))
     }
 
-    /// Gauss-Newton matrix of all images, from that of each.
+    /// Gauss-Newton matrix of all images, from that of each, with what is known of the amplitude.
     pub(super) fn sum_of(&self, each: &[Array2<f64>]) -> Array2<f64> {
         let mut sum = Array2::zeros((self.unknowns.count(), self.unknowns.count()));
+        if let Some(place) = self.unknowns.amplitude() {
+            sum[[place, place]] = self.amplitude_nm.powi(-2);
+        }
         for (image, own) in each.iter().enumerate() {
             self.unknowns.add_information(image, own, &mut sum);
         }
@@ -190,6 +207,10 @@ impl<'a> Group<'a> {
         self.for_each(point, |member, coefficients| member.evaluate(coefficients));
         let mut gradient = vec![0.0; self.unknowns.count()];
         let mut objective = 0.0;
+        if let Some(place) = self.unknowns.amplitude() {
+            objective = (point[place] / self.amplitude_nm).powi(2);
+            gradient[place] = 2.0 * point[place] / self.amplitude_nm.powi(2);
+        }
         for (image, member) in self.members.iter().enumerate() {
             objective += member.evaluation.objective;
             self.unknowns.add_gradient(image, &member.evaluation.gradient, &mut gradient);
@@ -222,7 +243,7 @@ impl<'a> Group<'a> {
         }
         let (mut point, mut evaluations) = (start.to_vec(), 0);
         let mut reason = StopReason::Unfinished;
-        if freedom != Freedom::Minimum {
+        if matches!(freedom, Freedom::Wavefront | Freedom::Tilts) {
             self.renew(&point)?;
         }
         let (mut information, mut informed_at) = (Array2::zeros((0, 0)), Array1::zeros(0));
@@ -235,7 +256,8 @@ impl<'a> Group<'a> {
             if renewal == 0 || !is_near(&informed_at, &information) {
                 (information, informed_at) = (self.information(&point), at.clone());
             }
-            if freedom == Freedom::Wavefront {
+            let is_approach = freedom == Freedom::Minimum || (freedom == Freedom::Whole && renewal == 0);
+            if !is_approach && freedom != Freedom::Tilts {
                 let (_, gradient) = self.evaluate(&point);
                 let score = Array1::from(gradient) * -0.5;
                 prior.learn(&information, &(information.dot(&at) + score))?;
@@ -255,7 +277,7 @@ impl<'a> Group<'a> {
             }
             let metric = Arc::new(Metric::from_gauss_newton(&curvature, floor)?);
             let mut solver = QuasiNewton::new(metric, &point, settings.clone())?;
-            if freedom == Freedom::Minimum {
+            if is_approach {
                 solver.set_tolerances(APPROACH_STEPS * step_nm, decrement.max(APPROACH))?;
             }
             loop {
@@ -315,21 +337,17 @@ impl<'a> Group<'a> {
         }
     }
 
-    /// Adds, to the gradient by the unknowns, the information of each image on a relative error 1
-    /// of the amplitude of its diversity.
+    /// The gradient by the unknowns of what images of the Gauss-Newton matrices `each` know of a
+    /// relative error 1 of the amplitude of their diversities.
     ///
     /// # Errors
     /// [`Error::File`] for a map of it that cannot be read.
-    pub(super) fn add_effect_of_diversities(&mut self, best: &Trial, sum: &mut Array1<f64>) -> Result<()> {
-        let each = self.for_each(&best.point, |member, coefficients| -> Result<Array1<f64>> {
+    pub(super) fn effect_of_diversities(&self, each: &[Array2<f64>]) -> Result<Array1<f64>> {
+        let mut gradient = vec![0.0; self.unknowns.count()];
+        for (image, (member, information)) in self.members.iter().zip(each).enumerate() {
             let diversity_nm = member.fitter.diversity_projection()?.coefficients_nm;
-            Ok(member.information(coefficients).dot(&diversity_nm))
-        });
-        let mut gradient = vec![0.0; sum.len()];
-        for (image, own) in each.into_iter().enumerate() {
-            self.unknowns.add_gradient(image, &own?.to_vec(), &mut gradient);
+            self.unknowns.add_gradient(image, &information.dot(&diversity_nm).to_vec(), &mut gradient);
         }
-        *sum += &Array1::from(gradient);
-        Ok(())
+        Ok(Array1::from(gradient))
     }
 }

@@ -4,6 +4,7 @@ use crate::imaging::{CpuChain, Evaluation, LoadedImage, Mode, Optics, OpticsPart
 use crate::modal::assess::chi2::ReducedChi2;
 use crate::modal::assess::fisher::Sensitivity;
 use crate::modal::assess::residual::{photometry, reweigh};
+use crate::modal::assess::status::{Status, assess};
 use crate::modal::fitter::ModalFitter;
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::prepare::rejection::{reject, weigh_dead};
@@ -103,6 +104,11 @@ impl<'a> Member<'a> {
         let weights = (exposure.weight.as_slice(), None);
         let bytes = self.fitter.model.tiles().derivative_bytes;
         Sensitivity::at(&self.chain, coefficients.view(), flux_e, weights, exposure.photometry, bytes).fisher
+    }
+
+    /// Status of the minimum of this image.
+    pub(super) fn status(&self, minimum: &Minimum) -> Status {
+        assess(&self.fitter.model, &self.fitter.tilts, &self.image, minimum).status
     }
 
     /// The minimum of this image at `coefficients`, where the group has `unknowns` in `images`.

@@ -28,7 +28,8 @@ const SEGMENT_WAVES: f64 = 0.05;
 /// See [`NCPA_WAVES`].
 const NCPA_POWER: f64 = -0.75;
 /// Largest level, waves RMS of a mode: pistons that are known to a wavelength only have 0.29, and
-/// a level that the images do not determine must end somewhere.
+/// a level that the images do not determine must end somewhere. In several wavelengths pistons may
+/// be as large as `modes.piston_range_nm`.
 const LARGEST_WAVES: f64 = 0.3;
 /// Standard deviation of an unknown without a prior, nm: more than a model's range.
 const FLAT_NM: f64 = 1e4;
@@ -41,7 +42,6 @@ pub(super) struct Prior {
     relative: Array1<f64>,
     /// Coefficients of tip and tilt, `[axis, mode]`, which have no prior.
     tilts: Array2<f64>,
-    largest_nm: f64,
 }
 
 /// Modes with one level.
@@ -50,25 +50,30 @@ struct Set {
     modes: Range<usize>,
     /// Standard deviation of a mode with the relative one 1, nm.
     level_nm: f64,
+    /// Largest one, nm.
+    largest_nm: f64,
 }
 
 impl Prior {
-    /// The prior before the images say more.
-    pub(super) fn new(model: &Model, tilts: Array2<f64>) -> Self {
+    /// The prior before the images say more; `piston_range_nm` where they show whole wavelengths.
+    pub(super) fn new(model: &Model, tilts: Array2<f64>, piston_range_nm: Option<f64>) -> Self {
         let wavelength_nm = model.optics.parts().wavelength_nm;
         let (segment_modes, modes) = (model.segment_modes, model.optics.modes());
         let of_a_motion = model.pistons().max(1);
+        let usual_nm = LARGEST_WAVES * wavelength_nm;
         let motions = (0..segment_modes).step_by(of_a_motion);
         let mut sets: Vec<Set> = motions
             .map(|first| Set {
                 modes: first..(first + of_a_motion).min(segment_modes),
                 level_nm: SEGMENT_WAVES * wavelength_nm,
+                largest_nm: piston_range_nm.filter(|_| first == 0).map_or(usual_nm, |range_nm| range_nm.max(usual_nm)),
             })
             .collect();
         let (mut first, mut next) = (0, FIRST_BAND);
         while segment_modes + first < modes {
             let end = next.min(modes - segment_modes);
-            sets.push(Set { modes: segment_modes + first..segment_modes + end, level_nm: NCPA_WAVES * wavelength_nm });
+            let level_nm = NCPA_WAVES * wavelength_nm;
+            sets.push(Set { modes: segment_modes + first..segment_modes + end, level_nm, largest_nm: usual_nm });
             (first, next) = (end, next * BAND_RATIO);
         }
         let relative = |mode: usize| match mode.checked_sub(segment_modes) {
@@ -77,7 +82,7 @@ impl Prior {
             Some(ncpa) => (ncpa as f64 + 1.0).powf(NCPA_POWER) / model.mean_squares[mode].sqrt(),
         };
         let relative = (0..modes).map(relative).collect();
-        Self { sets, relative, tilts, largest_nm: LARGEST_WAVES * wavelength_nm }
+        Self { sets, relative, tilts }
     }
 
     /// Standard deviation of each mode, nm.
@@ -112,7 +117,7 @@ impl Prior {
         let levels = self.sets.iter().map(|set| CoefficientGroup {
             columns: set.modes.clone(),
             variance_nm2: set.level_nm.powi(2),
-            largest_nm2: self.largest_nm.powi(2),
+            largest_nm2: set.largest_nm.powi(2),
             rule: VarianceRule::UniformRms,
         });
         let flat = CoefficientGroup {
@@ -144,8 +149,8 @@ mod tests {
         let mean = array![300.0, 5.0, -5.0, 4.0, -6.0, 5.0, -4.0, 6.0, -5.0];
         let mut tilts = Array2::zeros((1, 9));
         tilts[[0, 0]] = 1.0;
-        let sets = vec![Set { modes: 0..9, level_nm: 30.0 }];
-        let mut prior = Prior { sets, relative: Array1::ones(9), tilts, largest_nm: 100.0 };
+        let sets = vec![Set { modes: 0..9, level_nm: 30.0, largest_nm: 100.0 }];
+        let mut prior = Prior { sets, relative: Array1::ones(9), tilts };
         prior.learn(&information, &information.dot(&mean)).unwrap();
         // The squares less the variances: √(204/8 − 1), of eight modes known to a quarter.
         assert!((4.5..6.0).contains(&prior.sets[0].level_nm), "{}", prior.sets[0].level_nm);

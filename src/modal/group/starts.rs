@@ -49,12 +49,28 @@ pub(crate) struct Minima {
     pub(crate) is_suspicious: bool,
 }
 
+/// From how many starts a group is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Search {
+    /// The first.
+    First,
+    /// Further ones where the first does not explain the images: each of them determines the
+    /// wavefront alone.
+    IfNeeded,
+    /// As many as it takes to know of other minima.
+    All,
+}
+
 /// Fits the group from `near_nm`, or the flat wavefront, and further starts; the best minimum, in
 /// which the images of the group are left.
 ///
 /// # Errors
 /// As [`Group::fit`].
-pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: &Control) -> Result<(Trial, Minima)> {
+pub(super) fn fit_from_all(
+    group: &mut Group,
+    (near_nm, search): (Option<&[f64]>, Search),
+    control: &Control,
+) -> Result<(Trial, Minima)> {
     let (unknowns, modes) = (group.unknowns.count(), group.members[0].fitter.model.optics.modes());
     let unit_nm = group.amplitude_unit_nm();
     let amplitude = group.unknowns.amplitude();
@@ -70,9 +86,16 @@ pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: 
     let flat_nm = vec![0.0; modes];
     let (first, precision) = match near_nm {
         Some(near_nm) => (near_nm, Freedom::Wavefront),
+        None if search != Search::All => (&flat_nm[..], Freedom::Whole),
         None => (&flat_nm[..], Freedom::Minimum),
     };
     let mut trials = vec![group.fit(&from(first, 1.0), precision, silent)?];
+    let is_right = |trial: &Trial| trial.has_converged() && deviations(trial) < SUSPICIOUS;
+    if search == Search::First || (search == Search::IfNeeded && is_right(&trials[0])) {
+        let only = trials.swap_remove(0);
+        let is_suspicious = !is_right(&only);
+        return Ok((only, Minima { starts: 1, in_best: 1, next: None, has_twin: false, is_suspicious }));
+    }
     if amplitude.is_some() && near_nm.is_none() {
         trials.push(group.fit(&from(&flat_nm, -1.0), Freedom::Minimum, silent)?);
     }
@@ -80,9 +103,8 @@ pub(super) fn fit_from_all(group: &mut Group, near_nm: Option<&[f64]>, control: 
     let mut random = Vec::new();
     for attempt in 1..=STARTS * fitter.recipe.restarts {
         let best = best_of(&trials);
-        let is_right = trials[best].has_converged() && deviations(&trials[best]) < SUSPICIOUS;
         let found = random.iter().filter(|&&place: &&usize| is_same(&trials[place], &trials[best])).count();
-        if is_right || found > CONFIRMING {
+        if is_right(&trials[best]) || found > CONFIRMING {
             break;
         }
         let mut start = random_wavefront(&group.prior.sigma_nm(), attempt);

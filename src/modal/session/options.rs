@@ -5,6 +5,7 @@ use crate::imaging::{Choice, Precision};
 use crate::modal::assess::status::{ImageReport, Status};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::integers::PistonInteger;
+use crate::modal::combine::joint::JointEstimate;
 use crate::optimize::StopReason;
 use crate::{Error, Result};
 use ndarray::{ArrayView1, ArrayView2};
@@ -154,6 +155,17 @@ pub struct RefinedGroup {
     pub is_contradictory: bool,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
     pub integers: Vec<PistonInteger>,
+}
+
+impl From<JointEstimate> for RefinedGroup {
+    fn from(joint: JointEstimate) -> Self {
+        Self {
+            disagreement: joint.disagreement,
+            is_contradictory: joint.is_contradictory(),
+            modes: joint.modes,
+            integers: joint.integers,
+        }
+    }
 }
 
 impl RefinedGroup {

@@ -9,7 +9,7 @@ use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::divided_images::DividedImages;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{EstimateInput, Estimator, acknowledged};
-use crate::pipeline::group::{is_group, refuse_parts};
+use crate::pipeline::group::{Together, refuse_parts};
 use crate::pipeline::images::Images;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};
@@ -66,7 +66,7 @@ impl Estimator {
         let EstimateInput { scene, channels, .. } = self.ready(images, &cut)?;
         let identity = self.identity(&scene, &channels)?;
         let images = channels.iter().map(|channel| channel.images.len()).sum();
-        if is_group(&scene, &self.policy, &channels)? {
+        if Together::of(&scene, &self.policy, &channels)?.is_some() {
             return Err(refuse_parts(&scene));
         }
         let all: Vec<&ChannelImages> = channels.iter().collect();

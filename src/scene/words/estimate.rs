@@ -37,8 +37,8 @@ words! {
     /// Which images are fitted together.
     #[derive(Copy)]
     Grouping {
-        /// All images where one of several channels is in focus or has less than half a wave RMS of
-        /// diversity, and each image alone otherwise.
+        /// One image of each of several channels, and all images where one of these is in focus or
+        /// has less than half a wave RMS of diversity; each image alone otherwise.
         Auto = "auto",
         /// Each image alone.
         Each = "each",
