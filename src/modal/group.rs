@@ -175,13 +175,13 @@ impl<'a> Solution<'a> {
         let known_to = Some(scene.estimate.diversity_error).filter(|sigma| *sigma > 0.0);
         let mut group = Group::new(fitters, fits, &is_fitted, amplitude.map(|_| f64::INFINITY).or(known_to))?;
         let (mut best, mut minima) = fit_from_all(&mut group, search, control)?;
-        let mut normal = Normal::new(&mut group, &best)?;
+        let mut normal = Normal::new(&mut group, &mut best)?;
         let share = normal.share_of_amplitude();
         if amplitude.is_some() && share <= LEAST_SHARE {
             // The images do not show the amplitude: it stays as the scene says.
             group = Group::new(fitters, fits, &is_fitted, None)?;
             (best, minima) = fit_from_all(&mut group, search, control)?;
-            normal = Normal::new(&mut group, &best)?;
+            normal = Normal::new(&mut group, &mut best)?;
         }
         group.gather_pistons(&mut best);
         Ok(Self { group, best, minima, normal, amplitude, share })
@@ -260,9 +260,9 @@ struct Normal {
 }
 
 impl Normal {
-    fn new(group: &mut Group, best: &Trial) -> Result<Self> {
+    fn new(group: &mut Group, best: &mut Trial) -> Result<Self> {
         let scale = best.reduced_chi2().max(1.0);
-        let each = group.information_of_each(&best.point);
+        let each = best.each.take().unwrap_or_else(|| group.information_of_each(&best.point));
         let consistency = consistency(group, best, &each, scale)?;
         let inflation = scale * consistency.of_all.0.max(1.0);
         let information = group.sum_of(&each) / inflation + &best.precision;

@@ -70,6 +70,9 @@ pub(super) struct Trial {
     pub(super) precision: Array2<f64>,
     /// The squares of the modes in units of the prior before the images said more.
     penalty: f64,
+    /// Gauss-Newton matrix of each image within an error bar of the point, with weights of the
+    /// model; `None` where that of the fit is of another point or of other weights.
+    pub(super) each: Option<Vec<Array2<f64>>>,
 }
 
 impl Trial {
@@ -246,15 +249,18 @@ impl<'a> Group<'a> {
         if matches!(freedom, Freedom::Wavefront | Freedom::Tilts) {
             self.renew(&point)?;
         }
-        let (mut information, mut informed_at) = (Array2::zeros((0, 0)), Array1::zeros(0));
+        let (mut each, mut information, mut informed_at) = (Vec::new(), Array2::zeros((0, 0)), Array1::zeros(0));
+        let mut has_model_weights = false;
+        let is_near = |at: &Array1<f64>, informed_at: &Array1<f64>, information: &Array2<f64>| {
+            let off = at - informed_at;
+            off.dot(&information.dot(&off)) < NEAR
+        };
         for renewal in 0..=RENEWALS {
             let at = Array1::from(point.clone());
-            let is_near = |informed_at: &Array1<f64>, information: &Array2<f64>| {
-                let off = &at - informed_at;
-                off.dot(&information.dot(&off)) < NEAR
-            };
-            if renewal == 0 || !is_near(&informed_at, &information) {
-                (information, informed_at) = (self.information(&point), at.clone());
+            if renewal == 0 || !is_near(&at, &informed_at, &information) {
+                each = self.information_of_each(&point);
+                (information, informed_at) = (self.sum_of(&each), at.clone());
+                has_model_weights = renewal > 0 || freedom == Freedom::Wavefront;
             }
             let is_approach = freedom == Freedom::Minimum || (freedom == Freedom::Whole && renewal == 0);
             if !is_approach && freedom != Freedom::Tilts {
@@ -307,7 +313,8 @@ impl<'a> Group<'a> {
         let minima = minima.into_iter().map(|minimum| Minimum { evaluations, reason, ..minimum }).collect();
         let at = ArrayView1::from(&point);
         let penalty = at.dot(&self.prior.precision(count).dot(&at));
-        Ok(Trial { point, minima, precision: known, penalty })
+        let is_known = has_model_weights && is_near(&at.to_owned(), &informed_at, &information);
+        Ok(Trial { minima, precision: known, penalty, each: is_known.then_some(each), point })
     }
 
     /// Moves pistons by whole wavelengths to those of the smallest spread, where all images are of
