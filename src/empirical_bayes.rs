@@ -22,8 +22,9 @@ const TOLERANCE: f64 = 1e-2;
 const SETTLED: f64 = 0.02;
 /// Power of the ratio of such a step to that of expectation-maximisation, which converges up to 2.
 const OVER_RELAXATION: f64 = 1.8;
-/// Least variance of a group, nm²: (0.1 nm)² is negligible, and keeps the equations well posed.
-const MIN_VARIANCE_NM2: f64 = 1e-2;
+/// A variance that is negligible beside those of static errors, and keeps the equations well posed,
+/// nm².
+pub const NEGLIGIBLE_NM2: f64 = 1e-2;
 
 /// How the prior variance of a group follows from the data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,8 +43,8 @@ pub struct CoefficientGroup {
     pub columns: std::ops::Range<usize>,
     /// Prior variance, or its initial value, nm².
     pub variance_nm2: f64,
-    /// Largest variance that is found, nm².
-    pub largest_nm2: f64,
+    /// Smallest and largest variance that are found, nm².
+    pub range_nm2: [f64; 2],
     pub rule: VarianceRule,
 }
 
@@ -137,7 +138,7 @@ pub fn maximise_marginal_likelihood(
                     *variance * ratio.powf(OVER_RELAXATION)
                 }
             };
-            let found_nm2 = found_nm2.min(group.largest_nm2).max(MIN_VARIANCE_NM2);
+            let found_nm2 = found_nm2.min(group.range_nm2[1]).max(group.range_nm2[0]);
             if group.rule == VarianceRule::UniformRms {
                 change = (found_nm2 / *variance - 1.0).abs().max(change);
             }
@@ -174,7 +175,12 @@ mod tests {
     use super::*;
 
     fn group(columns: std::ops::Range<usize>) -> CoefficientGroup {
-        CoefficientGroup { columns, variance_nm2: 100.0, largest_nm2: f64::INFINITY, rule: VarianceRule::MostLikely }
+        CoefficientGroup {
+            columns,
+            variance_nm2: 100.0,
+            range_nm2: [NEGLIGIBLE_NM2, f64::INFINITY],
+            rule: VarianceRule::MostLikely,
+        }
     }
 
     #[test]

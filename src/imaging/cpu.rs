@@ -6,7 +6,7 @@ mod free;
 pub use free::FreeWavefront;
 
 use super::detector::{Evaluation, Exposure, LoadedImage};
-use super::field::{Field, FieldState};
+use super::field::{Change, Field, FieldState};
 use super::optics::Optics;
 use super::phasor::Polynomial;
 use super::pixels::Pixels;
@@ -230,7 +230,7 @@ impl<T: Polynomial> CpuChain<T> {
             let mut memory = self.take_scratch();
             for ((stages, at), memory) in self.colours.iter().zip(at).zip(&mut memory.colours) {
                 memory.pupil.fill(T::zero());
-                stages.field.derivative(mode, &at.field, &mut memory.pupil);
+                stages.field.derivative(Change::Mode(mode), &at.field, &mut memory.pupil);
                 stages.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
                 // The grid must be zero outside the illuminated samples.
                 memory.pupil.fill(T::zero());

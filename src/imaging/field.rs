@@ -36,6 +36,27 @@ pub(super) struct Field<T> {
     modes: Vec<Mode>,
 }
 
+/// A change of the field.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Change {
+    /// The coefficient of a mode.
+    Mode(Mode),
+    /// The logarithm of a segment's amplitude.
+    Amplitude(usize),
+}
+
+impl Change {
+    /// The segment that it is of; `None` for a change of the whole pupil.
+    pub(super) fn segment(self) -> Option<usize> {
+        match self {
+            Self::Mode(Mode::Smooth(_)) => None,
+            Self::Mode(Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) | Self::Amplitude(segment) => {
+                Some(segment)
+            }
+        }
+    }
+}
+
 /// Results of the forward step that the adjoint needs, for each block.
 #[derive(Clone, Copy)]
 struct BlockState<T> {
@@ -259,14 +280,15 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must
-    /// be zero elsewhere: i·2π·s·P·(the mode's part of the aperture), s the derivative of the phase
-    /// in turns per nm.
+    /// The derivative of the field by one change at the state's coefficients, on the row-planar
+    /// grid, which must be zero elsewhere. That by a coefficient, per nm, is i·2π·s·P·(the mode's
+    /// part of the aperture), s the derivative of the phase in turns per nm; that by the logarithm
+    /// of a segment's amplitude is P·(its part).
     #[inline(always)]
-    pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
+    pub(super) fn derivative(&self, change: Change, state: &FieldState<T>, grid: &mut [T]) {
         let (samples, across) = (self.samples, self.samples.div_ceil(BLOCK));
-        let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
-            let Mode::Smooth(row) = mode else { unreachable!("the other modes are handled above") };
+        let Some(segment) = change.segment() else {
+            let Change::Mode(Mode::Smooth(row)) = change else { return };
             for (&place, &slope) in self.illuminated.iter().zip(self.smooth.map(row)) {
                 let (block, lane) = (place / BLOCK, place % BLOCK);
                 let BlockState { phasor, aperture } = &state.blocks[block];
@@ -288,17 +310,20 @@ impl<T: Polynomial> Field<T> {
                 None => of_piston,
                 Some(slopes) => tilted(state.pose[segment], slopes),
             };
-            let along = match (mode, slopes) {
-                (Mode::Tip(_), Some([x, _])) => *x,
-                (Mode::Tilt(_), Some([_, y])) => *y,
-                (Mode::Piston(_), _) => [T::one(); BLOCK],
+            let along = match (change, slopes) {
+                (Change::Mode(Mode::Tip(_)), Some([x, _])) => *x,
+                (Change::Mode(Mode::Tilt(_)), Some([_, y])) => *y,
+                (Change::Mode(Mode::Piston(_)), _) => [T::one(); BLOCK],
                 _ => [T::zero(); BLOCK],
             };
             let (weight, [p_re, p_im]) = (&self.segment_blocks.weight[entry], &state.blocks[block].phasor);
             let (mut d_re, mut d_im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
             for i in 0..BLOCK {
                 let part = [weight[i] * q_re[i], weight[i] * q_im[i]];
-                [d_re[i], d_im[i]] = along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm);
+                [d_re[i], d_im[i]] = match change {
+                    Change::Mode(_) => along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm),
+                    Change::Amplitude(_) => times([p_re[i], p_im[i]], part),
+                };
             }
             let row = &mut grid[2 * samples * (block / across)..][..2 * samples];
             let (re, im) = row.split_at_mut(samples);
@@ -313,10 +338,16 @@ impl<T: Polynomial> Field<T> {
 
 /// i·2π·slope·phasor·part: the derivative of a part of the field by a phase.
 #[inline(always)]
-fn along_phase<T: Polynomial>([p_re, p_im]: [T; 2], [re, im]: [T; 2], slope: T) -> [T; 2] {
+fn along_phase<T: Polynomial>(phasor: [T; 2], part: [T; 2], slope: T) -> [T; 2] {
     let factor = T::narrow(std::f64::consts::TAU) * slope;
-    let (re, im) = (p_re * re - p_im * im, p_re * im + p_im * re);
+    let [re, im] = times(phasor, part);
     [-(factor * im), factor * re]
+}
+
+/// Product of complex numbers.
+#[inline(always)]
+fn times<T: Polynomial>([a_re, a_im]: [T; 2], [b_re, b_im]: [T; 2]) -> [T; 2] {
+    [a_re * b_re - a_im * b_im, a_re * b_im + a_im * b_re]
 }
 
 /// exp(2πi·(a + b)).

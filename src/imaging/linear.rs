@@ -7,12 +7,12 @@
 //! thirtieth, and the cost of some rows is proportional to their number.
 
 use super::cpu::{CpuChain, vectorised};
-use super::field::{Field, FieldState};
-use super::optics::{Mode, Optics};
+use super::field::{Change, Field, FieldState};
+use super::optics::Optics;
 use super::pixels::Pixels;
 use crate::fourier::{Sampling, Transform};
 use cophase_numerics::product::{Matrix, MatrixMut};
-use ndarray::{ArrayView1, ArrayViewMut1, ArrayViewMut2};
+use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2};
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -76,7 +76,7 @@ impl NullaryFnOnce for Forward<'_> {
 /// [`Field::derivative`] in the widest vectors of this CPU.
 struct Derivative<'a> {
     field: &'a Field<f64>,
-    mode: Mode,
+    change: Change,
     state: &'a FieldState<f64>,
     pupil: &'a mut [f64],
 }
@@ -86,7 +86,7 @@ impl NullaryFnOnce for Derivative<'_> {
 
     #[inline(always)]
     fn call(self) {
-        self.field.derivative(self.mode, self.state, self.pupil);
+        self.field.derivative(self.change, self.state, self.pupil);
     }
 }
 
@@ -101,9 +101,9 @@ impl<'a> ColourState<'a> {
         Self { field, state, transform, focus, waves: Waves::new(sampling), samples: n, pixels: m }
     }
 
-    /// Adds the derivative of the field in the pupil by the coefficient of a mode.
-    fn derivative_of_field(&self, mode: Mode, pupil: &mut [f64]) {
-        vectorised(Derivative { field: self.field, mode, state: &self.state, pupil });
+    /// Adds the derivative of the field in the pupil.
+    fn derivative_of_field(&self, change: Change, pupil: &mut [f64]) {
+        vectorised(Derivative { field: self.field, change, state: &self.state, pupil });
     }
 
     fn add_psf(&self, psf: &mut [f64]) {
@@ -112,8 +112,8 @@ impl<'a> ColourState<'a> {
         psf.iter_mut().zip(lines).for_each(|(psf, (re, im))| *psf += re * re + im * im);
     }
 
-    /// Adds the derivative of the intensity of some rows of pixels by the coefficient of a mode.
-    fn whole_pupil(&self, mode: Mode, rows: &Range<usize>, buffers: &mut ThreadBuffers, out: ArrayViewMut1<f64>) {
+    /// Adds the derivative of the intensity of some rows of pixels.
+    fn whole_pupil(&self, change: Change, rows: &Range<usize>, buffers: &mut ThreadBuffers, out: ArrayViewMut1<f64>) {
         let (n, m) = (self.samples, self.pixels);
         let FullPupilBuffers { pupil, focus, workspace } = buffers.whole.get_or_insert_with(|| FullPupilBuffers {
             pupil: vec![0.0; 2 * n * n],
@@ -121,15 +121,15 @@ impl<'a> ColourState<'a> {
             workspace: self.transform.workspace(),
         });
         pupil.fill(0.0);
-        self.derivative_of_field(mode, pupil);
+        self.derivative_of_field(change, pupil);
         self.transform.forward(pupil, focus, workspace);
         self.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
     }
 
-    /// As [`ColourState::whole_pupil`], of a mode within some rows and columns of the pupil.
+    /// As [`ColourState::whole_pupil`], of a change within some rows and columns of the pupil.
     fn patch(
         &self,
-        mode: Mode,
+        change: Change,
         [ys, xs]: &[Range<usize>; 2],
         rows: &Range<usize>,
         buffers: &mut ThreadBuffers,
@@ -139,7 +139,7 @@ impl<'a> ColourState<'a> {
         let (height, count) = (ys.len(), rows.len());
         // The derivative is written into the whole pupil; only the box is changed, and cleared
         // afterwards.
-        self.derivative_of_field(mode, &mut buffers.pupil);
+        self.derivative_of_field(change, &mut buffers.pupil);
         let samples = Matrix::from_rows(&buffers.pupil, n, 2 * n);
         let [d_re, d_im] = [0, n].map(|plane| samples.part(ys.clone(), plane + xs.start..plane + xs.end));
         let [c, s] = [&self.waves.cos, &self.waves.sin].map(|table| Matrix::from_rows(table, n, m));
@@ -195,19 +195,31 @@ impl LinearModel<'_> {
     ///
     /// # Panics
     /// If `out` has another shape.
-    pub fn derivatives(&self, rows: Range<usize>, mut out: ArrayViewMut2<f64>) {
+    pub fn derivatives(&self, rows: Range<usize>, out: ArrayViewMut2<f64>) {
         assert_eq!(out.dim(), (self.modes(), rows.len() * self.pixels()), "modes and pixels");
-        let modes = &self.chain.optics().parts().modes;
-        let lines: Vec<_> = out.outer_iter_mut().zip(modes).collect();
+        self.write(self.chain.optics().parts().modes.iter().map(|&mode| Change::Mode(mode)), rows, out);
+    }
+
+    /// The derivatives by the natural logarithm of the amplitude of each segment,
+    /// `[segment, pixel]`.
+    pub fn by_amplitudes(&self) -> Array2<f64> {
+        let mut out = Array2::zeros((self.boxes.len(), self.pixels().pow(2)));
+        self.write((0..self.boxes.len()).map(Change::Amplitude), 0..self.pixels(), out.view_mut());
+        out
+    }
+
+    /// Writes the derivatives of some rows of pixels by `changes`.
+    fn write(&self, changes: impl Iterator<Item = Change>, rows: Range<usize>, mut out: ArrayViewMut2<f64>) {
+        let lines: Vec<_> = out.outer_iter_mut().zip(changes).collect();
         lines.into_par_iter().for_each_init(
             || ThreadBuffers::new(self),
-            |buffers, (mut out, &mode)| match &self.pixels {
-                None => self.derivative(mode, &rows, buffers, out),
+            |buffers, (mut out, change)| match &self.pixels {
+                None => self.derivative(change, &rows, buffers, out),
                 Some(pixels) => {
                     let needed = pixels.needed(&rows);
                     let mut points = std::mem::take(&mut buffers.points);
                     points.resize(needed.len() * self.pixels(), 0.0);
-                    self.derivative(mode, &needed, buffers, ArrayViewMut1::from(&mut points[..]));
+                    self.derivative(change, &needed, buffers, ArrayViewMut1::from(&mut points[..]));
                     let mut lines = out.exact_chunks_mut(self.pixels()).into_iter();
                     pixels.apply_to_rows(&mut points, &rows, &mut buffers.line, |line| {
                         lines.next().into_iter().for_each(|mut out| out.assign(&ArrayView1::from(line)));
@@ -218,15 +230,19 @@ impl LinearModel<'_> {
         );
     }
 
-    /// Writes the derivative of the intensity at the centres of some rows of pixels by one
-    /// coefficient into `out`.
-    fn derivative(&self, mode: Mode, rows: &Range<usize>, buffers: &mut ThreadBuffers, mut out: ArrayViewMut1<f64>) {
+    /// Writes the derivative of the intensity at the centres of some rows of pixels into `out`.
+    fn derivative(
+        &self,
+        change: Change,
+        rows: &Range<usize>,
+        buffers: &mut ThreadBuffers,
+        mut out: ArrayViewMut1<f64>,
+    ) {
         out.fill(0.0);
-        self.colours.iter().for_each(|colour| match mode {
-            Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
-                colour.patch(mode, &self.boxes[s], rows, buffers, out.view_mut());
-            }
-            _ => colour.whole_pupil(mode, rows, buffers, out.view_mut()),
+        let small = change.segment().filter(|&segment| self.is_small(segment));
+        self.colours.iter().for_each(|colour| match small {
+            Some(segment) => colour.patch(change, &self.boxes[segment], rows, buffers, out.view_mut()),
+            None => colour.whole_pupil(change, rows, buffers, out.view_mut()),
         });
     }
 
@@ -311,9 +327,8 @@ fn boxes(optics: &Optics) -> Vec<[Range<usize>; 2]> {
 mod tests {
     use super::*;
     use crate::fourier::PixelResponse;
-    use crate::imaging::{Colour, OpticsParts};
+    use crate::imaging::{Colour, Mode, OpticsParts};
     use crate::pupil::SegmentWeights;
-    use ndarray::Array2;
     use std::sync::Arc;
 
     /// Nine segments in a square of 27×27 samples of 30, each of which overlaps its neighbours by
@@ -384,6 +399,9 @@ mod tests {
             let same = |a: f64, b: f64, scale: f64| (a - b).abs() < 1e-13 * scale;
             let brightest = psf.iter().copied().fold(0.0, f64::max);
             assert!(linear.psf().iter().zip(&psf).all(|(a, b)| same(*a, *b, brightest)));
+            // The PSF is of second degree in the amplitudes: their derivatives add up to it twice.
+            let sum = linear.by_amplitudes().sum_axis(ndarray::Axis(0));
+            assert!(sum.iter().zip(&psf).all(|(sum, psf)| same(*sum, 2.0 * psf, brightest)));
             for tile in [m, 5, 1] {
                 for first in (0..m).step_by(tile) {
                     let rows = first..m.min(first + tile);

@@ -40,7 +40,7 @@ pub struct ModalFitter {
     pub(super) fitted_optics: Vec<FittedOptic>,
     /// What the modes leave out, once an estimate has marginalised it: sessions and the search of
     /// the optics do without.
-    pub(super) left_out: Arc<OnceLock<Option<LeftOut>>>,
+    pub(super) left_out: Arc<OnceLock<LeftOut>>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -202,11 +202,11 @@ impl ModalFitter {
             return Ok(None);
         }
         if let Some(built) = self.left_out.get() {
-            return Ok(built.as_ref());
+            return Ok(Some(built));
         }
         let last = last_zernike([self.recipe.exact_zernikes, self.recipe.prior_zernikes]);
         let built = LeftOut::new(&self.model, last)?;
-        Ok(self.left_out.get_or_init(|| built).as_ref())
+        Ok(Some(self.left_out.get_or_init(|| built)))
     }
 
     /// The model of the images.

@@ -1,5 +1,6 @@
 //! What the fitted modes leave out: tips and tilts of the segments, their figures, Zernikes beyond
-//! the fitted ones. Each has a prior, and not a silence.
+//! the fitted ones, amplitudes of the segments, errors of the camera. Each has a prior, and not a
+//! silence.
 //!
 //! After the fit one linear Gaussian step marginalises them. With f the fitted modes, l those left
 //! out (0 in the fit), H the Gauss-Newton matrix of the images and g = −½ of the gradient by l,
@@ -14,9 +15,11 @@
 //! of its own: with pistons and tilts of the segments it is the same wavefront as a smooth NCPA,
 //! and a prior of tilts alone would take one for the other.
 
+mod camera;
+
 use crate::empirical_bayes::{CoefficientGroup, Posterior, VarianceRule, maximise_marginal_likelihood};
 use crate::grid::Grid;
-use crate::imaging::{CpuChain, Mode, Optics, OpticsParts};
+use crate::imaging::{CpuChain, LinearModel, Mode, Optics, OpticsParts};
 use crate::modal::assess::fisher::{Sensitivity, null_floor, pseudo_inverse};
 use crate::modal::assess::residual::photometry;
 use crate::modal::combine::combined_modes::CombinedModes;
@@ -25,8 +28,10 @@ use crate::modal::model::{Model, slopes};
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
 use crate::modes::{circle_zernikes, tilt_frames};
+use crate::pupil::Pupil;
 use crate::scene::NollRange;
 use crate::{Error, Result};
+use camera::CAMERA_ERRORS;
 use ndarray::{Array1, Array2, ArrayView1, Axis, concatenate, s};
 use std::ops::Range;
 use std::sync::Arc;
@@ -35,6 +40,27 @@ use std::sync::Arc;
 const LAST_ZERNIKE: usize = 91;
 /// Most figures of segments, three for each: their maps are on all samples.
 const MOST_FIGURES: usize = 400;
+/// Smallest prior standard deviation, in the unit of a group: far below what an image at a peak S/N
+/// of 1,000 shows of a mode, so that it adds nothing to an error bar.
+const LEAST: f64 = 1e-3;
+/// Unit of the amplitudes of the segments, relative.
+const AMPLITUDE_UNIT: f64 = 1e-3;
+/// Prior standard deviation of an amplitude before the images say more, and its largest, in units.
+const AMPLITUDES: [f64; 2] = [10.0, 100.0];
+/// Prior standard deviation of the illumination's slopes, relative, at the rim.
+const ILLUMINATION: f64 = 0.05;
+/// Those, as the subjects of a sentence.
+const ILLUMINATIONS: [&str; 3] = [
+    "the slope of the illumination along x",
+    "the slope of the illumination along y",
+    "the illumination towards the rim",
+];
+/// Standard deviations from which an error is named: with some thirteen of them one estimate in
+/// 1,000 has one by chance.
+const SIGNIFICANT: f64 = 4.0;
+/// Share of the tolerance from which it is: at a peak S/N of 500 the approximations of the model
+/// are a tenth of that of the response.
+const REMARKABLE: f64 = 0.25;
 /// Prior RMS of each figure that all segments share, nm: mirrors are polished and warped in series.
 const COMMON_FIGURE_NM: f64 = 5.0;
 
@@ -49,16 +75,19 @@ pub(in crate::modal) struct LeftOut {
     /// Number of all modes.
     modes: usize,
     groups: Vec<Group>,
+    /// Patterns of the illumination over the segments, `[pattern, segment]`, where the amplitudes
+    /// of these are among the unknowns.
+    illumination: Option<Array2<f64>>,
 }
 
-/// Modes with one prior variance.
+/// Unknowns with one prior variance.
 struct Group {
     name: String,
     columns: Range<usize>,
-    /// Standard deviation of a mode, nm: where the search begins.
-    rms_nm: f64,
-    /// Largest one, nm.
-    largest_nm: f64,
+    /// Standard deviation of one, where the search begins: nm for modes.
+    rms: f64,
+    /// Largest one.
+    largest: f64,
     rule: VarianceRule,
     of: Of,
 }
@@ -75,6 +104,10 @@ enum Of {
     /// All segments.
     AllSegments,
     Ncpa,
+    /// Amplitudes of the segments.
+    Amplitudes,
+    /// An error of the optics or the camera, in units of this tolerance.
+    Tolerance(f64),
 }
 
 /// Modes that are marginalised, before they are modes of a chain.
@@ -88,6 +121,8 @@ struct Columns {
     smooth: usize,
     /// Number of modes with a prior that are fitted.
     fitted: usize,
+    /// Number of unknowns that are no modes, which come last.
+    further: usize,
 }
 
 impl Columns {
@@ -95,7 +130,7 @@ impl Columns {
         &mut self,
         name: impl Into<String>,
         modes: Vec<Mode>,
-        [rms_nm, largest_nm]: [f64; 2],
+        [rms, largest]: [f64; 2],
         (rule, of): (VarianceRule, Of),
     ) {
         // Fitted ones come first, and are modes of the chain already.
@@ -104,11 +139,18 @@ impl Columns {
         self.groups.push(Group {
             name: name.into(),
             columns: first..self.fitted + self.modes.len(),
-            rms_nm,
-            largest_nm,
+            rms,
+            largest,
             rule,
             of,
         });
+    }
+
+    /// Adds unknowns that are no modes, behind all of these.
+    fn push_further(&mut self, name: &str, count: usize, [rms, largest]: [f64; 2], (rule, of): (VarianceRule, Of)) {
+        let first = self.fitted + self.modes.len() + self.further;
+        self.further += count;
+        self.groups.push(Group { name: name.into(), columns: first..first + count, rms, largest, rule, of });
     }
 
     fn push_rows(&mut self, name: impl Into<String>, rows: Array2<f64>, sizes_nm: [f64; 2], rule: (VarianceRule, Of)) {
@@ -120,11 +162,11 @@ impl Columns {
 }
 
 impl LeftOut {
-    /// The modes that `model` leaves out; `None` where there are none.
+    /// What `model` leaves out.
     ///
     /// # Errors
     /// Those of [`Optics::new`].
-    pub(in crate::modal) fn new(model: &Model, last_zernike: usize) -> Result<Option<Self>> {
+    pub(in crate::modal) fn new(model: &Model, last_zernike: usize) -> Result<Self> {
         let (parts, pupil) = (model.optics.parts().clone(), &model.telescope.pupil);
         let grid = Grid::new(parts.sampling.samples, pupil.grid.width_m() * model.width_ratio())?;
         let samples = grid.samples();
@@ -171,8 +213,20 @@ impl LeftOut {
             let name = format!("Zernikes {} to {LAST_ZERNIKE}", last_zernike + 1);
             columns.push_rows(name, zernikes, [1.0, 3.0], (VarianceRule::UniformRms, Of::Ncpa));
         }
-        if columns.modes.is_empty() {
-            return Ok(None);
+        let illumination = (model.pistons() == segments && segments > 1 && 3 * segments <= MOST_FIGURES).then(|| {
+            columns.push_further(
+                "amplitudes of the segments",
+                segments,
+                AMPLITUDES,
+                (VarianceRule::UniformRms, Of::Amplitudes),
+            );
+            for name in ILLUMINATIONS {
+                columns.push_further(name, 1, [1.0, 1.0], (VarianceRule::Fixed, Of::Tolerance(ILLUMINATION)));
+            }
+            illumination(pupil)
+        });
+        for error in &CAMERA_ERRORS {
+            columns.push_further(error.name, 1, [1.0, 1.0], (VarianceRule::Fixed, Of::Tolerance(error.tolerance)));
         }
         let fitted = parts.modes.len();
         let modes: Vec<Mode> = parts.modes.iter().copied().chain(columns.modes).collect();
@@ -181,7 +235,8 @@ impl LeftOut {
             std::iter::once(parts.basis.view()).chain(columns.rows.iter().map(|rows| rows.view())).collect();
         let basis = concatenate(Axis(0), &rows).map_err(|error| Error::Internal(error.to_string()))?;
         let optics = Optics::new(OpticsParts { basis, modes, products: None, slopes: own_slopes, ..parts })?;
-        Ok(Some(Self { chain: CpuChain::new(Arc::new(optics)), fitted, tilts, modes: count, groups: columns.groups }))
+        let (chain, groups) = (CpuChain::new(Arc::new(optics)), columns.groups);
+        Ok(Self { chain, fitted, tilts, modes: count, groups, illumination })
     }
 
     /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
@@ -235,39 +290,71 @@ impl LeftOut {
         let added_nm2 = motions.removed_from(&follow.dot(&found.covariance_nm2).dot(&follow.t())) * scale;
         let noise_alone_nm2 = motions.removed_from(&noise_alone_nm2) * scale;
         let covariance_nm2 = &likelihood.covariance_nm2 - noise_nm2 + noise_alone_nm2 + &added_nm2;
-        let terms = self.groups.iter().zip(&found.prior_rms_nm);
-        let terms = terms.map(|(group, &rms_nm)| LeftOutTerm { name: group.name.clone(), rms_nm }).collect();
+        let (mut terms, mut errors) = (Vec::new(), Vec::new());
+        for (group, &rms) in self.groups.iter().zip(&found.prior_rms_nm) {
+            match group.of {
+                Of::Tolerance(tolerance) => errors.push(group.error(tolerance, &found, scale)),
+                Of::Amplitudes => {
+                    terms.push(LeftOutTerm { name: group.name.clone(), size: 100.0 * AMPLITUDE_UNIT * rms, unit: "%" })
+                }
+                _ => terms.push(LeftOutTerm { name: group.name.clone(), size: rms, unit: "nm" }),
+            }
+        }
         let phasing_nm = self.phasing_nm(model, &found);
-        Ok(WithLeftOut { modes: CombinedModes { coefficients_nm, covariance_nm2 }, added_nm2, phasing_nm, terms })
+        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
+        Ok(WithLeftOut { modes, added_nm2, phasing_nm, terms, errors })
+    }
+
+    /// Change of the PSF by one unit of each unknown that is no mode.
+    fn further(&self, model: &Model, linear: &LinearModel) -> Vec<Array1<f64>> {
+        let mut columns = Vec::new();
+        if let Some(patterns) = &self.illumination {
+            let amplitudes = linear.by_amplitudes();
+            columns.extend(amplitudes.outer_iter().map(|column| column.to_owned() * AMPLITUDE_UNIT));
+            columns.extend(patterns.dot(&amplitudes).outer_iter().map(|column| column.to_owned() * ILLUMINATION));
+        }
+        let native = model.preparation.native_pixels().sqrt();
+        columns.extend(camera::columns(linear.psf(), linear.pixels(), native));
+        columns
     }
 
     /// Gauss-Newton matrix and score of all images.
     fn summed(&self, model: &Model, images: &[(&PreparedFrame, &Minimum)]) -> Result<Summed> {
         let chain = &self.chain;
         let (mut loaded, mut scratch, mut evaluation) = (chain.empty_image(), chain.scratch(), chain.evaluation());
-        let (mut at, mut score) = (Array1::<f64>::zeros(self.modes), Array1::<f64>::zeros(self.modes));
+        let mut at = Array1::<f64>::zeros(self.modes);
+        let (mut score, mut first_information) = (Array1::<f64>::zeros(0), None);
         let (mut square_snr, mut chi2, mut freedom) = (0.0, 0.0, 0.0);
         for (prepared, minimum) in images {
+            let exposure = &prepared.exposure;
             at.slice_mut(s![..self.fitted]).assign(&ArrayView1::from(&minimum.coefficients_nm));
-            chain.set(&mut loaded, &prepared.exposure)?;
+            chain.set(&mut loaded, exposure)?;
             chain.evaluate_one(&loaded, at.view(), &mut scratch, &mut evaluation);
-            score.scaled_add(-0.5, &ArrayView1::from(&evaluation.gradient));
+            let linear = chain.linearise(at.view());
+            let further = self.further(model, &linear);
+            let (flux_e, background_e) = photometry(exposure, linear.psf());
+            let weighted: Array1<f64> = (linear.psf().iter().zip(&exposure.data_e).zip(&exposure.weight))
+                .map(|((psf, data), weight)| weight * (data - flux_e * psf - background_e))
+                .collect();
+            let of_modes = evaluation.gradient.iter().map(|slope| -0.5 * slope);
+            let own: Array1<f64> =
+                of_modes.chain(further.iter().map(|column| flux_e * column.dot(&weighted))).collect();
+            score = if score.is_empty() { own } else { score + own };
+            // That of the first image, as much as all images say.
+            if first_information.is_none() {
+                let weights = (exposure.weight.as_slice(), None);
+                let bytes = model.tiles().derivative_bytes;
+                let own = Sensitivity::of(&linear, &further, flux_e, weights, exposure.photometry, bytes).fisher;
+                first_information = Some((&own + &own.t()) * (0.5 / minimum.chi2.square_snr));
+            }
             square_snr += minimum.chi2.square_snr;
             chi2 += minimum.chi2.value * minimum.chi2.freedom;
             freedom += minimum.chi2.freedom;
         }
-        let Some((first, minimum)) = images.first() else {
+        let Some(information) = first_information else {
             return Err(Error::Internal("there is no image whose left-out modes could be marginalised".into()));
         };
-        // That of the first image, as much as all images say.
-        at.slice_mut(s![..self.fitted]).assign(&ArrayView1::from(&minimum.coefficients_nm));
-        let psf = chain.psf_in(at.view(), &mut scratch).to_vec();
-        let (flux_e, _) = photometry(&first.exposure, &psf);
-        let weights = (first.exposure.weight.as_slice(), None);
-        let bytes = model.tiles().derivative_bytes;
-        let own = Sensitivity::at(chain, at.view(), flux_e, weights, first.exposure.photometry, bytes).fisher;
-        let information = (&own + &own.t()) * (0.5 * square_snr / minimum.chi2.square_snr);
-        Ok(Summed { information, score, chi2, freedom })
+        Ok(Summed { information: information * square_snr, score, chi2, freedom })
     }
 
     /// RMS over the pupil of what is left out of the segments, nm, which the maps do not have:
@@ -282,7 +369,7 @@ impl LeftOut {
                     Of::Tilts => areas[place % areas.len()] / total,
                     Of::Figures => areas[place / 3] / total,
                     Of::AllSegments => 1.0,
-                    Of::FittedTilts | Of::Ncpa => 0.0,
+                    Of::FittedTilts | Of::Ncpa | Of::Amplitudes | Of::Tolerance(_) => 0.0,
                 };
                 square_nm2 += share * (found.coefficients_nm[column].powi(2) + found.covariance_nm2[[column, column]]);
             }
@@ -304,9 +391,25 @@ impl Group {
     fn prior(&self) -> CoefficientGroup {
         CoefficientGroup {
             columns: self.columns.clone(),
-            variance_nm2: self.rms_nm.powi(2),
-            largest_nm2: self.largest_nm.powi(2),
+            variance_nm2: self.rms.powi(2),
+            range_nm2: [LEAST.powi(2), self.largest.powi(2)],
             rule: self.rule,
+        }
+    }
+
+    /// The error that this group is of, whose prior standard deviation is `tolerance`. Variances
+    /// are `scale` times those of the noise.
+    fn error(&self, tolerance: f64, found: &Posterior, scale: f64) -> LeftOutError {
+        let place = self.columns.start;
+        let (value, variance) = (found.coefficients_nm[place], found.covariance_nm2[[place, place]]);
+        // Without the prior of variance 1: 1/variance = 1/own + 1, value/variance = seen/own.
+        let own = variance / (1.0 - variance).max(f64::EPSILON);
+        LeftOutError {
+            name: self.name.clone(),
+            value: value * tolerance,
+            sigma: (variance * scale).sqrt() * tolerance,
+            tolerance,
+            significance: value / variance * (own / scale).sqrt(),
         }
     }
 }
@@ -322,6 +425,29 @@ pub(crate) struct WithLeftOut {
     pub(crate) phasing_nm: f64,
     /// How large each group is.
     pub(crate) terms: Vec<LeftOutTerm>,
+    /// Errors of the optics and the camera.
+    pub(crate) errors: Vec<LeftOutError>,
+}
+
+/// An error of the optics or the camera that the scene takes to have none; relative, or rad.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct LeftOutError {
+    /// What is wrong, as the subject of a sentence.
+    pub(crate) name: String,
+    /// Its value, and the error bar of that.
+    pub(crate) value: f64,
+    pub(crate) sigma: f64,
+    /// Its standard deviation before the images.
+    pub(crate) tolerance: f64,
+    /// Value that the images say without the tolerance, over its error bar.
+    pub(crate) significance: f64,
+}
+
+impl LeftOutError {
+    /// Whether the images show it, and it is not small beside its tolerance.
+    pub(crate) fn is_shown(&self) -> bool {
+        self.significance.abs() > SIGNIFICANT && self.value.abs() > REMARKABLE * self.tolerance
+    }
 }
 
 /// Modes that were left out of the fit, and how large the images say they are.
@@ -329,8 +455,19 @@ pub(crate) struct WithLeftOut {
 pub(crate) struct LeftOutTerm {
     /// What they are.
     pub(crate) name: String,
-    /// Standard deviation of each of its modes, nm.
-    pub(crate) rms_nm: f64,
+    /// Standard deviation of each of its modes, in this unit.
+    pub(crate) size: f64,
+    pub(crate) unit: &'static str,
+}
+
+/// Slopes along x and y, and squares of the distance from the centre, of the segments' centres, at
+/// most 1: `[pattern, segment]`.
+fn illumination(pupil: &Pupil) -> Array2<f64> {
+    let radius_m = pupil.segments.iter().map(|segment| segment.x_m.hypot(segment.y_m)).fold(0.0, f64::max);
+    Array2::from_shape_fn((ILLUMINATIONS.len(), pupil.segments.len()), |(pattern, segment)| {
+        let [x, y] = [pupil.segments[segment].x_m, pupil.segments[segment].y_m].map(|m| m / radius_m);
+        [x, y, x * x + y * y][pattern]
+    })
 }
 
 /// Focus and two astigmatisms of every segment, of unit RMS over each, `[figure, sample]`, and the

@@ -61,7 +61,7 @@ pub use fit_optics::fitted_optic::FittedOptic;
 pub(crate) use fit_optics::{OpticsMinimum, OpticsStart, explaining_fit, fit_together};
 pub use fitter::ModalFitter;
 pub(crate) use group::{GroupChannel, GroupEstimate, Minima, Search, estimate_group};
-pub(crate) use left_out::WithLeftOut;
+pub(crate) use left_out::{LeftOutError, LeftOutTerm, WithLeftOut};
 pub use model::Model;
 pub use model::arrays::Arrays;
 pub use model::memory::{Memory, Tiles};

@@ -2,7 +2,7 @@
 
 use super::estimate::Estimate;
 use crate::Result;
-use crate::modal::{DiversityProjection, WithLeftOut};
+use crate::modal::{DiversityProjection, LeftOutTerm, WithLeftOut};
 use crate::scene::{Aperture, Scene};
 use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
@@ -138,6 +138,11 @@ pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
 
 /// What the modes leave out, and how large the images say it is.
 pub(super) fn left_out_remark(left_out: &WithLeftOut) -> String {
-    let sizes: Vec<String> = left_out.terms.iter().map(|term| format!("{} {:.1} nm", term.name, term.rms_nm)).collect();
-    format!("Not fitted, and in the error bars with the size that the images allow, RMS of each: {}.", sizes.join(", "))
+    let size = |term: &LeftOutTerm| format!("{} {:.1} {}", term.name, term.size, term.unit);
+    let sizes: Vec<String> = left_out.terms.iter().map(size).collect();
+    format!(
+        "Not fitted, and in the error bars with the size that the images allow, RMS of each: {}; errors of the camera and of the \
+         illumination within their tolerances.",
+        sizes.join(", ")
+    )
 }

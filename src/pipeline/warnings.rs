@@ -6,7 +6,8 @@ use super::images::counted;
 use super::outcome::ImageOutcome;
 use super::sequence::SequenceResult;
 use crate::modal::{
-    self, Agreement, DiversityProjection, ImageReport, Model, PistonInteger, RejectedPixels, Session, Status, Verdict,
+    self, Agreement, DiversityProjection, ImageReport, LeftOutError, Model, PistonInteger, RejectedPixels, Session,
+    Status, Verdict, WithLeftOut,
 };
 use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
@@ -95,10 +96,25 @@ pub(super) fn modal_warnings(
         sentences.extend(agreement_warning(found));
     }
     sentences.extend(mean_residual_warning(found));
+    sentences.extend(found.left_out().map(left_out_warnings).unwrap_or_default());
     sentences.extend(model_warning(model));
     let unknown = found.degeneracy.null.iter().filter(|direction| alone && !fitter.is_global_motion(direction));
     sentences.extend(unknown_warning(&unknown.map(|direction| direction.description.as_str()).collect::<Vec<_>>()));
     sentences
+}
+
+/// Warnings on errors of the optics and the camera that the images show.
+fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
+    let shown = left_out.errors.iter().filter(|error| error.is_shown());
+    let sentence = |error: &LeftOutError| {
+        let LeftOutError { name, value, sigma, tolerance, significance } = error;
+        format!(
+            "these images show an error that the scene does not have: {name} is off by {value:.2e} ± {sigma:.0e} ({:.0} standard deviations; up \
+             to {tolerance:.0e} is expected): correct it in the scene, or in the reduction",
+            significance.abs()
+        )
+    };
+    shown.map(sentence).collect()
 }
 
 /// Warning on combinations of modes that the images do not show.

@@ -4,7 +4,7 @@
 use super::common_figure::COMMON_FIGURE_RMS_NM;
 use super::mean_covariance::{MeanCovariance, Weighted};
 use super::static_errors::StaticErrors;
-use crate::empirical_bayes::{CoefficientGroup, Posterior, VarianceRule, maximise_marginal_likelihood};
+use crate::empirical_bayes::{CoefficientGroup, NEGLIGIBLE_NM2, Posterior, VarianceRule, maximise_marginal_likelihood};
 use crate::linear_algebra::{combination, row_products};
 use crate::loop_response::SlopeInformation;
 use crate::{Error, Result};
@@ -217,13 +217,13 @@ fn coefficient_groups(
     let free = |columns, rms_nm: f64| CoefficientGroup {
         columns,
         variance_nm2: rms_nm * rms_nm,
-        largest_nm2: f64::INFINITY,
+        range_nm2: [NEGLIGIBLE_NM2, f64::INFINITY],
         rule: VarianceRule::MostLikely,
     };
     let fixed = |columns, rms_nm: f64| CoefficientGroup {
         columns,
         variance_nm2: rms_nm * rms_nm,
-        largest_nm2: f64::INFINITY,
+        range_nm2: [NEGLIGIBLE_NM2, f64::INFINITY],
         rule: VarianceRule::Fixed,
     };
     let flat = |columns| fixed(columns, FLAT_PRIOR_NM);

@@ -2,7 +2,7 @@
 //! follows from it.
 
 use crate::Result;
-use crate::imaging::{CpuChain, Photometry};
+use crate::imaging::{CpuChain, LinearModel, Photometry};
 use crate::modal::solve::gauss_newton::{NuisanceShares, Nuisances, products, rows_of_tile, times_transposed};
 use crate::optimize::Metric;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
@@ -41,12 +41,25 @@ impl Sensitivity {
         photometry: Photometry,
         tile_bytes: usize,
     ) -> Self {
+        let linear = reference.linearise(coefficients_nm);
+        Self::of(&linear, &[], flux_e, (weight, variance_e2), photometry, tile_bytes)
+    }
+
+    /// As [`Sensitivity::at`], of `linear`, with `further` unknowns behind the modes: derivatives
+    /// of the PSF at all pixels.
+    pub(in crate::modal) fn of(
+        linear: &LinearModel,
+        further: &[Array1<f64>],
+        flux_e: f64,
+        (weight, variance_e2): (&[f64], Option<&[f64]>),
+        photometry: Photometry,
+        tile_bytes: usize,
+    ) -> Self {
         let nuisances = match photometry {
             Photometry::Fixed { .. } => Nuisances::None,
             Photometry::FitFlux { .. } => Nuisances::Flux,
             Photometry::FitBoth => Nuisances::FluxAndBackground,
         };
-        let linear = reference.linearise(coefficients_nm);
         // In units of the flux the derivatives are those of the PSF.
         let square = flux_e * flux_e;
         let mut weights = vec![weight.iter().map(|w| w * square).collect::<Vec<f64>>()];
@@ -54,12 +67,13 @@ impl Sensitivity {
             let spread = weight.iter().zip(variance_e2).map(|(&w, &v)| if w > 0.0 { w * w * v * square } else { 0.0 });
             spread.collect()
         }));
-        let rows = rows_of_tile(linear.modes(), linear.pixels(), tile_bytes);
-        let mut found = products(&linear, nuisances, &weights, rows).into_iter();
+        let modes = linear.modes() + further.len();
+        let rows = rows_of_tile(modes, linear.pixels(), tile_bytes);
+        let mut found = products(linear, further, nuisances, &weights, rows).into_iter();
         let fisher = found.next().unwrap_or_default();
         let shares = NuisanceShares::new(&fisher, nuisances);
         let noise = found.next().map(|noise| shares.project_out(noise));
-        Self { fisher: shares.project_out(fisher), noise, floor: null_floor(linear.modes(), weight.len()) }
+        Self { fisher: shares.project_out(fisher), noise, floor: null_floor(modes, weight.len()) }
     }
 
     /// Covariance of the modes, nm². Where the weights are the inverse variances it is the inverse

@@ -10,7 +10,7 @@
 //! have no prior.
 
 use crate::Result;
-use crate::empirical_bayes::{CoefficientGroup, VarianceRule, maximise_marginal_likelihood};
+use crate::empirical_bayes::{CoefficientGroup, NEGLIGIBLE_NM2, VarianceRule, maximise_marginal_likelihood};
 use crate::modal::assess::fisher::without;
 use crate::modal::model::Model;
 use ndarray::{Array1, Array2, s};
@@ -117,13 +117,13 @@ impl Prior {
         let levels = self.sets.iter().map(|set| CoefficientGroup {
             columns: set.modes.clone(),
             variance_nm2: set.level_nm.powi(2),
-            largest_nm2: set.largest_nm.powi(2),
+            range_nm2: [NEGLIGIBLE_NM2, set.largest_nm.powi(2)],
             rule: VarianceRule::UniformRms,
         });
         let flat = CoefficientGroup {
             columns: modes..design.nrows(),
             variance_nm2: FLAT_NM.powi(2),
-            largest_nm2: f64::INFINITY,
+            range_nm2: [NEGLIGIBLE_NM2, f64::INFINITY],
             rule: VarianceRule::Fixed,
         };
         let groups: Vec<CoefficientGroup> = levels.chain([flat]).collect();

@@ -57,7 +57,7 @@ pub(in crate::modal) struct StoredDerivatives(Array2<f64>);
 impl StoredDerivatives {
     /// All of them: `[row, pixel]`.
     pub(in crate::modal) fn new(linear: &LinearModel, nuisances: Nuisances) -> Self {
-        Self(derivatives(linear, nuisances, 0..linear.pixels()))
+        Self(derivatives(linear, &[], nuisances, 0..linear.pixels()))
     }
 
     /// As [`products`], from the stored derivatives.
@@ -70,18 +70,19 @@ impl StoredDerivatives {
 }
 
 /// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row ×
-/// row, `[row, row]`: rows are the modes' derivatives per nm, for a flux of 1, and the nuisances.
-/// Computed in tiles of `tile` rows of pixels.
+/// row, `[row, row]`: rows are the modes' derivatives per nm, for a flux of 1, those of `further`
+/// unknowns, and the nuisances. Computed in tiles of `tile` rows of pixels.
 pub(in crate::modal) fn products(
     linear: &LinearModel,
+    further: &[Array1<f64>],
     nuisances: Nuisances,
     weights: &[Vec<f64>],
     tile: usize,
 ) -> Vec<Array2<f64>> {
     let m = linear.pixels();
-    let mut all = zeros(linear.modes() + nuisances.count(), weights.len());
+    let mut all = zeros(linear.modes() + further.len() + nuisances.count(), weights.len());
     for first in (0..m).step_by(tile) {
-        let tile = derivatives(linear, nuisances, first..m.min(first + tile));
+        let tile = derivatives(linear, further, nuisances, first..m.min(first + tile));
         add_products(&tile, weights, first * m, &mut all);
     }
     all.iter_mut().for_each(mirror);
@@ -95,7 +96,7 @@ pub(in crate::modal) fn along(linear: &LinearModel, vectors: &[Array1<f64>], til
     let mut all = Array2::zeros((linear.modes(), vectors.len()));
     for first in (0..m).step_by(tile) {
         let rows = first..m.min(first + tile);
-        let tile = derivatives(linear, Nuisances::None, rows.clone());
+        let tile = derivatives(linear, &[], Nuisances::None, rows.clone());
         for (vector, mut column) in vectors.iter().zip(all.columns_mut()) {
             column += &tile.dot(&vector.slice(s![rows.start * m..rows.end * m]));
         }
@@ -107,10 +108,19 @@ fn zeros(rows: usize, count: usize) -> Vec<Array2<f64>> {
     (0..count).map(|_| Array2::zeros((rows, rows))).collect()
 }
 
-fn derivatives(linear: &LinearModel, nuisances: Nuisances, rows: std::ops::Range<usize>) -> Array2<f64> {
+fn derivatives(
+    linear: &LinearModel,
+    further: &[Array1<f64>],
+    nuisances: Nuisances,
+    rows: std::ops::Range<usize>,
+) -> Array2<f64> {
     let (m, modes) = (linear.pixels(), linear.modes());
-    let mut tile = Array2::ones((modes + nuisances.count(), rows.len() * m));
+    let mut tile = Array2::ones((modes + further.len() + nuisances.count(), rows.len() * m));
     linear.derivatives(rows.clone(), tile.slice_mut(s![..modes, ..]));
+    for (column, mut row) in further.iter().zip(tile.slice_mut(s![modes.., ..]).outer_iter_mut()) {
+        row.assign(&column.slice(s![rows.start * m..rows.end * m]));
+    }
+    let modes = modes + further.len();
     if nuisances != Nuisances::None {
         let psf = &linear.psf()[rows.start * m..rows.end * m];
         tile.row_mut(modes).iter_mut().zip(psf).for_each(|(value, h)| *value = *h);

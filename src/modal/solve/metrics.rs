@@ -177,7 +177,7 @@ impl Metrics {
             None => {
                 let linear = reference.linearise(Array1::zeros(reference.optics().modes()).view());
                 let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
-                products(&linear, self.nuisances, &weights, rows)
+                products(&linear, &[], self.nuisances, &weights, rows)
             }
         };
         let floor = null_floor(reference.optics().modes(), flat.psf.len());

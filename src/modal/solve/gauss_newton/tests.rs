@@ -49,12 +49,12 @@ fn products_in_tiles_are_those_of_the_whole() {
     let m = linear.pixels();
     let weights = weights(m * m);
     for nuisances in [Nuisances::None, Nuisances::Flux, Nuisances::FluxAndBackground] {
-        let whole = products(&linear, nuisances, &weights, m);
+        let whole = products(&linear, &[], nuisances, &weights, m);
         let kept = StoredDerivatives::new(&linear, nuisances).products(&weights);
         assert_eq!(whole, kept, "the same work, twice");
         // Tiles that divide the image, that do not, and the smallest.
         for tile in [m / 2, 7, 1] {
-            for (tiled, whole) in products(&linear, nuisances, &weights, tile).iter().zip(&whole) {
+            for (tiled, whole) in products(&linear, &[], nuisances, &weights, tile).iter().zip(&whole) {
                 let off = difference(tiled, whole);
                 assert!(off < rounding(m * m), "{nuisances:?}, {tile} rows: {off:e}");
             }
@@ -85,7 +85,7 @@ fn projection_removes_flux_and_background() {
         }
     }
     let nuisances = Nuisances::FluxAndBackground;
-    let found = products(&linear, nuisances, &weights, 11);
+    let found = products(&linear, &[], nuisances, &weights, 11);
     let shares = NuisanceShares::new(&found[0], nuisances);
     for (found, weight) in found.into_iter().zip(&weights) {
         let wanted = (&jacobian * &Array1::from(weight.clone())).dot(&jacobian.t());

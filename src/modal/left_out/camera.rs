@@ -1,0 +1,165 @@
+//! Errors of the camera that a scene takes to have none: changes of the PSF by each.
+//!
+//! All are linear in the PSF h at the pixels (u, v) about the optical axis. With h_u and h_v its
+//! derivatives along x and y, which follow from its Fourier transform:
+//!
+//! | Error | Change of h |
+//! |---|---|
+//! | scale along x, along y; shear; rotation | u h_u; v h_v; u h_v + v h_u; u h_v − v h_u |
+//! | gain of a half; of two quadrants | ½ h within it, −½ h in the other: with the flux, all gains of quadrants |
+//! | response at the peak | −h²/max h |
+//! | halo | h spread by an exponential, less h |
+
+use crate::fourier::transform_square;
+use cophase_numerics::fft::plan_both;
+use ndarray::Array1;
+use num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// An error of the camera.
+pub(super) struct CameraError {
+    /// What is wrong, as the subject of a sentence.
+    pub(super) name: &'static str,
+    /// Its standard deviation before the images say more.
+    pub(super) tolerance: f64,
+}
+
+const fn error(name: &'static str, tolerance: f64) -> CameraError {
+    CameraError { name, tolerance }
+}
+
+/// The errors, in the order of [`columns`]: what an instrument's calibration leaves.
+pub(super) const CAMERA_ERRORS: [CameraError; 9] = [
+    error("the scale of the image along x", 1e-3),
+    error("the scale of the image along y", 1e-3),
+    error("the shear of the image", 1e-3),
+    error("the rotation of the image (rad)", 2e-3),
+    error("the gain of the half at +x, over that at −x,", 1e-2),
+    error("the gain of the half at +y, over that at −y,", 1e-2),
+    error("the gain of the quadrants at +x, +y and at −x, −y, over that of the others,", 1e-2),
+    error("the loss of response at the peak", 2e-2),
+    error("the share of the light in a halo", 1e-2),
+];
+
+/// Scale length of the halo, pixels of the detector.
+const HALO_PIXELS: f64 = 10.0;
+
+/// Change of the PSF by each of [`CAMERA_ERRORS`], of one tolerance: `[error][pixel]`. The PSF has
+/// `size` pixels along a side, of `native` pixels of the detector.
+pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> Vec<Array1<f64>> {
+    let spectrum = Spectrum::new(psf, size);
+    let [h_u, h_v] = [0, 1].map(|axis| spectrum.derivative(axis));
+    let from_axis = |at: usize| at as f64 - (size / 2) as f64;
+    let moved = |[[xx, xy], [yx, yy]]: [[f64; 2]; 2]| -> Vec<f64> {
+        let pixel = |at: usize| {
+            let (u, v) = (from_axis(at % size), from_axis(at / size));
+            (xx * u + xy * v) * h_u[at] + (yx * u + yy * v) * h_v[at]
+        };
+        (0..psf.len()).map(pixel).collect()
+    };
+    let halves = |is_first: &dyn Fn(bool, bool) -> bool| -> Vec<f64> {
+        let is_first = |at: usize| is_first(at % size >= size / 2, at / size >= size / 2);
+        psf.iter().enumerate().map(|(at, &h)| if is_first(at) { 0.5 * h } else { -0.5 * h }).collect()
+    };
+    let peak = psf.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let halo = spectrum.spread(HALO_PIXELS / native);
+    let all: [Vec<f64>; 9] = [
+        moved([[1.0, 0.0], [0.0, 0.0]]),
+        moved([[0.0, 0.0], [0.0, 1.0]]),
+        moved([[0.0, 1.0], [1.0, 0.0]]),
+        moved([[0.0, -1.0], [1.0, 0.0]]),
+        halves(&|right, _| right),
+        halves(&|_, up| up),
+        halves(&|right, up| right == up),
+        psf.iter().map(|h| -h * h / peak).collect(),
+        halo.iter().zip(psf).map(|(spread, h)| spread - h).collect(),
+    ];
+    let in_tolerances = |(column, error): (Vec<f64>, &CameraError)| Array1::from(column) * error.tolerance;
+    all.into_iter().zip(&CAMERA_ERRORS).map(in_tolerances).collect()
+}
+
+/// Fourier transform of a square image.
+struct Spectrum {
+    size: usize,
+    values: Vec<Complex64>,
+}
+
+impl Spectrum {
+    fn new(image: &[f64], size: usize) -> Self {
+        let mut values: Vec<Complex64> = image.iter().map(|&value| value.into()).collect();
+        transform_square(&mut values, size, &*plan_both(size).0);
+        Self { size, values }
+    }
+
+    /// The image whose transform is this times `factor` of the frequencies along x and y, cycles
+    /// per pixel.
+    fn times(&self, factor: impl Fn(f64, f64) -> Complex64) -> Vec<f64> {
+        let size = self.size;
+        let frequency = |at: usize| {
+            let signed = if 2 * at < size { at as f64 } else { at as f64 - size as f64 };
+            signed / size as f64
+        };
+        let each = self.values.iter().enumerate();
+        let mut values: Vec<Complex64> =
+            each.map(|(at, value)| value * factor(frequency(at % size), frequency(at / size))).collect();
+        transform_square(&mut values, size, &*plan_both(size).1);
+        values.iter().map(|value| value.re / (size * size) as f64).collect()
+    }
+
+    /// The derivative along x (0) or y (1), per pixel. The highest frequency has none.
+    fn derivative(&self, axis: usize) -> Vec<f64> {
+        self.times(|x, y| {
+            let along = [x, y][axis];
+            if along <= -0.5 { 0.0.into() } else { Complex64::new(0.0, TAU * along) }
+        })
+    }
+
+    /// The image spread by exp(−r/length) of the sum 1, with a length in pixels.
+    fn spread(&self, length: f64) -> Vec<f64> {
+        self.times(|x, y| (1.0 + (TAU * length).powi(2) * (x * x + y * y)).powf(-1.5).into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_differences_of_changed_images() {
+        let (size, width) = (64, 4.0);
+        // An elliptic Gaussian off the axis, magnified, sheared and rotated about it.
+        let image = |map: &dyn Fn(f64, f64) -> (f64, f64)| -> Vec<f64> {
+            let pixel = |at: usize| {
+                let (u, v) = map((at % size) as f64 - 32.0, (at / size) as f64 - 32.0);
+                (-((u - 3.0) / width).powi(2) - ((v + 2.0) / (1.5 * width)).powi(2)).exp()
+            };
+            (0..size * size).map(pixel).collect()
+        };
+        let psf = image(&|u, v| (u, v));
+        let found = columns(&psf, size, 1.0);
+        let step = 1e-4;
+        let maps: [&dyn Fn(f64, f64) -> (f64, f64); 4] = [
+            &|u, v| (u * (1.0 + step), v),
+            &|u, v| (u, v * (1.0 + step)),
+            &|u, v| (u + step * v, v + step * u),
+            &|u, v| (u - step * v, v + step * u),
+        ];
+        for ((map, column), error) in maps.iter().zip(&found).zip(&CAMERA_ERRORS) {
+            let changed = image(map);
+            let largest = column.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+            for ((changed, psf), column) in changed.iter().zip(&psf).zip(column) {
+                // A second derivative of some 10² steps.
+                let difference = (changed - psf) / step * error.tolerance;
+                assert!((difference - column).abs() < 1e-2 * largest, "{}: {difference} {column}", error.name);
+            }
+        }
+        // The three gains and the flux are the gain of one quadrant; a halo moves light and loses
+        // none.
+        for (at, h) in psf.iter().enumerate() {
+            let sum = found[4][at] + found[5][at] + found[6][at] + 0.005 * h;
+            let wanted = if at % size >= size / 2 && at / size >= size / 2 { 0.02 * h } else { 0.0 };
+            assert!((sum - wanted).abs() < 1e-12, "{at}: {sum} {wanted}");
+        }
+        assert!(found[8].sum().abs() < 1e-9 * psf.iter().sum::<f64>());
+    }
+}
