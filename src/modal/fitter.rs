@@ -205,7 +205,7 @@ impl ModalFitter {
             return Ok(Some(built));
         }
         let last = last_zernike([self.recipe.exact_zernikes, self.recipe.prior_zernikes]);
-        let built = LeftOut::new(&self.model, last)?;
+        let built = LeftOut::new(&self.model, last, &self.scene.tolerance)?;
         Ok(Some(self.left_out.get_or_init(|| built)))
     }
 

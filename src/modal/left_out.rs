@@ -29,9 +29,8 @@ use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
 use crate::modes::{circle_zernikes, tilt_frames};
 use crate::pupil::Pupil;
-use crate::scene::NollRange;
+use crate::scene::{NollRange, ToleranceScene};
 use crate::{Error, Result};
-use camera::CAMERA_ERRORS;
 use ndarray::{Array1, Array2, ArrayView1, Axis, concatenate, s};
 use std::ops::Range;
 use std::sync::Arc;
@@ -47,9 +46,7 @@ const LEAST: f64 = 1e-3;
 const AMPLITUDE_UNIT: f64 = 1e-3;
 /// Prior standard deviation of an amplitude before the images say more, and its largest, in units.
 const AMPLITUDES: [f64; 2] = [10.0, 100.0];
-/// Prior standard deviation of the illumination's slopes, relative, at the rim.
-const ILLUMINATION: f64 = 0.05;
-/// Those, as the subjects of a sentence.
+/// Patterns of the illumination, as the subjects of a sentence.
 const ILLUMINATIONS: [&str; 3] = [
     "the slope of the illumination along x",
     "the slope of the illumination along y",
@@ -61,8 +58,6 @@ const SIGNIFICANT: f64 = 4.0;
 /// Share of the tolerance from which it is: at a peak S/N of 500 the approximations of the model
 /// are a tenth of that of the response.
 const REMARKABLE: f64 = 0.25;
-/// Prior RMS of each figure that all segments share, nm: mirrors are polished and warped in series.
-const COMMON_FIGURE_NM: f64 = 5.0;
 
 /// Modes that a fit leaves out.
 pub(in crate::modal) struct LeftOut {
@@ -78,6 +73,7 @@ pub(in crate::modal) struct LeftOut {
     /// Patterns of the illumination over the segments, `[pattern, segment]`, where the amplitudes
     /// of these are among the unknowns.
     illumination: Option<Array2<f64>>,
+    tolerance: ToleranceScene,
 }
 
 /// Unknowns with one prior variance.
@@ -146,6 +142,13 @@ impl Columns {
         });
     }
 
+    /// Adds an error with this tolerance, where it has one.
+    fn push_error(&mut self, name: &str, tolerance: f64) {
+        if tolerance > 0.0 {
+            self.push_further(name, 1, [1.0, 1.0], (VarianceRule::Fixed, Of::Tolerance(tolerance)));
+        }
+    }
+
     /// Adds unknowns that are no modes, behind all of these.
     fn push_further(&mut self, name: &str, count: usize, [rms, largest]: [f64; 2], (rule, of): (VarianceRule, Of)) {
         let first = self.fitted + self.modes.len() + self.further;
@@ -166,7 +169,7 @@ impl LeftOut {
     ///
     /// # Errors
     /// Those of [`Optics::new`].
-    pub(in crate::modal) fn new(model: &Model, last_zernike: usize) -> Result<Self> {
+    pub(in crate::modal) fn new(model: &Model, last_zernike: usize, tolerance: &ToleranceScene) -> Result<Self> {
         let (parts, pupil) = (model.optics.parts().clone(), &model.telescope.pupil);
         let grid = Grid::new(parts.sampling.samples, pupil.grid.width_m() * model.width_ratio())?;
         let samples = grid.samples();
@@ -199,13 +202,12 @@ impl LeftOut {
                     (VarianceRule::UniformRms, Of::Figures),
                 );
             }
-            let sizes_nm = [COMMON_FIGURE_NM, COMMON_FIGURE_NM];
-            columns.push_rows(
-                "figure that all segments share",
-                common,
-                sizes_nm,
-                (VarianceRule::Fixed, Of::AllSegments),
-            );
+            // Mirrors are polished and warped in series.
+            if tolerance.common_figure_nm > 0.0 {
+                let sizes_nm = [tolerance.common_figure_nm; 2];
+                let of = (VarianceRule::Fixed, Of::AllSegments);
+                columns.push_rows("figure that all segments share", common, sizes_nm, of);
+            }
         }
         if last_zernike > 1 && last_zernike < LAST_ZERNIKE {
             let (xs, ys): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
@@ -221,12 +223,12 @@ impl LeftOut {
                 (VarianceRule::UniformRms, Of::Amplitudes),
             );
             for name in ILLUMINATIONS {
-                columns.push_further(name, 1, [1.0, 1.0], (VarianceRule::Fixed, Of::Tolerance(ILLUMINATION)));
+                columns.push_error(name, tolerance.illumination_fraction);
             }
             illumination(pupil)
         });
-        for error in &CAMERA_ERRORS {
-            columns.push_further(error.name, 1, [1.0, 1.0], (VarianceRule::Fixed, Of::Tolerance(error.tolerance)));
+        for (name, tolerance) in camera::errors(tolerance) {
+            columns.push_error(name, tolerance);
         }
         let fitted = parts.modes.len();
         let modes: Vec<Mode> = parts.modes.iter().copied().chain(columns.modes).collect();
@@ -236,7 +238,7 @@ impl LeftOut {
         let basis = concatenate(Axis(0), &rows).map_err(|error| Error::Internal(error.to_string()))?;
         let optics = Optics::new(OpticsParts { basis, modes, products: None, slopes: own_slopes, ..parts })?;
         let (chain, groups) = (CpuChain::new(Arc::new(optics)), columns.groups);
-        Ok(Self { chain, fitted, tilts, modes: count, groups, illumination })
+        Ok(Self { chain, fitted, tilts, modes: count, groups, illumination, tolerance: tolerance.clone() })
     }
 
     /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
@@ -311,10 +313,13 @@ impl LeftOut {
         if let Some(patterns) = &self.illumination {
             let amplitudes = linear.by_amplitudes();
             columns.extend(amplitudes.outer_iter().map(|column| column.to_owned() * AMPLITUDE_UNIT));
-            columns.extend(patterns.dot(&amplitudes).outer_iter().map(|column| column.to_owned() * ILLUMINATION));
+            let illumination = patterns.dot(&amplitudes);
+            let slopes = illumination.outer_iter().map(|column| column.to_owned());
+            columns.extend(in_tolerances(slopes.zip([self.tolerance.illumination_fraction; ILLUMINATIONS.len()])));
         }
         let native = model.preparation.native_pixels().sqrt();
-        columns.extend(camera::columns(linear.psf(), linear.pixels(), native));
+        let camera = camera::columns(linear.psf(), linear.pixels(), native).into_iter();
+        columns.extend(in_tolerances(camera.zip(camera::errors(&self.tolerance).map(|(_, tolerance)| tolerance))));
         columns
     }
 
@@ -376,6 +381,11 @@ impl LeftOut {
         }
         square_nm2.sqrt()
     }
+}
+
+/// Columns in units of their tolerances; those that are exact are none.
+fn in_tolerances(columns: impl Iterator<Item = (Array1<f64>, f64)>) -> impl Iterator<Item = Array1<f64>> {
+    columns.filter(|(_, tolerance)| *tolerance > 0.0).map(|(column, tolerance)| column * tolerance)
 }
 
 /// Normal equations of images at their minima.

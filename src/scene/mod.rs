@@ -35,6 +35,7 @@ mod setting;
 mod system;
 mod table;
 mod telescope;
+mod tolerance;
 mod units;
 mod unknown;
 mod value;
@@ -56,6 +57,7 @@ pub use sections::Sections;
 pub use setting::Setting;
 pub use system::{System, SystemChannel};
 pub use telescope::{AberrationScene, ImageScene};
+pub use tolerance::ToleranceScene;
 pub(crate) use units::MAS_PER_RADIAN;
 pub(crate) use value::SettingValue;
 pub use words::{

@@ -10,6 +10,7 @@ use super::pupil::PupilScene;
 use super::section_keys::SectionKeys;
 use super::table::{Check, Reader, Section, Source, check_ranges};
 use super::telescope::{AberrationScene, ImageScene};
+use super::tolerance::ToleranceScene;
 use super::value::SettingValue;
 use super::words::{Aperture, Method, NcpaBasis, PupilModel, ReconstructorKind, SegmentModes};
 use crate::Result;
@@ -93,6 +94,8 @@ sections! {
     control: Option<ControlScene>;
     /// Settings of the estimate.
     estimate: EstimateScene;
+    /// How well the instrument is known.
+    tolerance: ToleranceScene;
     /// Terms of the controllers that take corrections.
     commands: CommandsScene;
 }
@@ -210,6 +213,15 @@ impl Sections {
         {
             let sentence = "control.reconstructor = \"sparse\" is not accepted where wavefront_sensor.kind = \"pyramid\", whose slopes depend on the whole wavefront; \"dense\" is needed";
             return Err(reader("control").error("reconstructor", sentence));
+        }
+        let usual = ToleranceScene::read(&Reader { item: None, ..reader("tolerance") })?;
+        let named = self.tolerance.differences(&usual).into_iter().next();
+        if let Some((key, value)) = named.filter(|_| !self.estimate.posterior) {
+            let sentence = format!(
+                "tolerance.{key} = {value} has no effect without estimate.posterior = true, by which error bars hold the tolerances; set it, or \
+                 leave this out"
+            );
+            return Err(reader("tolerance").error(key, sentence));
         }
         if self.image.is_pupil_turned() {
             self.check_turns().map_err(|sentence| reader("image").error("pupil_turns_deg", sentence))?;

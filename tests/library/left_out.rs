@@ -71,6 +71,23 @@ fn errors_of_the_camera_are_held_and_named() {
 }
 
 #[test]
+fn tolerances_widen_error_bars_and_exact_ones_do_not() {
+    let exact = [
+        ("tolerance.pixel_scale_fraction", "0"),
+        ("tolerance.gain_fraction", "0"),
+        ("tolerance.common_figure_nm", "0"),
+        ("tolerance.illumination_fraction", "0"),
+    ];
+    let wide = [("tolerance.gain_fraction", "0.3")];
+    let [exact, usual, wide] =
+        [&exact[..], &[], &wide].map(|settings| estimate(settings, &[], true).figures.ncpa.sigma_nm);
+    assert!(exact < usual && usual < wide, "{exact} {usual} {wide}");
+    let scene = Scene::preset("keck-artificial").unwrap();
+    let error = scene.with(&[("tolerance.gain_fraction", "0.02")]).unwrap_err().to_string();
+    assert!(error.contains("tolerance.gain_fraction = 0.02 has no effect without estimate.posterior"), "{error}");
+}
+
+#[test]
 fn error_bars_without_anything_left_out_stay_near_noise() {
     let [without, with] = [false, true].map(|posterior| estimate(&[], &[], posterior));
     for (one, other) in [

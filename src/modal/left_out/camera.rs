@@ -11,42 +11,38 @@
 //! | halo | h spread by an exponential, less h |
 
 use crate::fourier::transform_square;
+use crate::scene::ToleranceScene;
 use cophase_numerics::fft::plan_both;
 use ndarray::Array1;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// An error of the camera.
-pub(super) struct CameraError {
-    /// What is wrong, as the subject of a sentence.
-    pub(super) name: &'static str,
-    /// Its standard deviation before the images say more.
-    pub(super) tolerance: f64,
-}
+/// Number of errors.
+pub(super) const ERRORS: usize = 9;
 
-const fn error(name: &'static str, tolerance: f64) -> CameraError {
-    CameraError { name, tolerance }
+/// The errors, as the subjects of a sentence, each with its standard deviation before the images
+/// say more, in the order of [`columns`].
+pub(super) fn errors(tolerance: &ToleranceScene) -> [(&'static str, f64); ERRORS] {
+    let ToleranceScene { pixel_scale_fraction: scale, gain_fraction: gain, .. } = *tolerance;
+    [
+        ("the scale of the image along x", scale),
+        ("the scale of the image along y", scale),
+        ("the shear of the image", scale),
+        ("the rotation of the image (rad)", tolerance.rotation_deg.to_radians()),
+        ("the gain of the half at +x, over that at −x,", gain),
+        ("the gain of the half at +y, over that at −y,", gain),
+        ("the gain of the quadrants at +x, +y and at −x, −y, over that of the others,", gain),
+        ("the loss of response at the peak", tolerance.response_fraction),
+        ("the share of the light in a halo", tolerance.halo_fraction),
+    ]
 }
-
-/// The errors, in the order of [`columns`]: what an instrument's calibration leaves.
-pub(super) const CAMERA_ERRORS: [CameraError; 9] = [
-    error("the scale of the image along x", 1e-3),
-    error("the scale of the image along y", 1e-3),
-    error("the shear of the image", 1e-3),
-    error("the rotation of the image (rad)", 2e-3),
-    error("the gain of the half at +x, over that at −x,", 1e-2),
-    error("the gain of the half at +y, over that at −y,", 1e-2),
-    error("the gain of the quadrants at +x, +y and at −x, −y, over that of the others,", 1e-2),
-    error("the loss of response at the peak", 2e-2),
-    error("the share of the light in a halo", 1e-2),
-];
 
 /// Scale length of the halo, pixels of the detector.
 const HALO_PIXELS: f64 = 10.0;
 
-/// Change of the PSF by each of [`CAMERA_ERRORS`], of one tolerance: `[error][pixel]`. The PSF has
-/// `size` pixels along a side, of `native` pixels of the detector.
-pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> Vec<Array1<f64>> {
+/// Change of the PSF by each of the [`errors`]: `[error][pixel]`. The PSF has `size` pixels along a
+/// side, of `native` pixels of the detector.
+pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> [Array1<f64>; ERRORS] {
     let spectrum = Spectrum::new(psf, size);
     let [h_u, h_v] = [0, 1].map(|axis| spectrum.derivative(axis));
     let from_axis = |at: usize| at as f64 - (size / 2) as f64;
@@ -63,7 +59,7 @@ pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> Vec<Array1<f64>>
     };
     let peak = psf.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let halo = spectrum.spread(HALO_PIXELS / native);
-    let all: [Vec<f64>; 9] = [
+    let all = [
         moved([[1.0, 0.0], [0.0, 0.0]]),
         moved([[0.0, 0.0], [0.0, 1.0]]),
         moved([[0.0, 1.0], [1.0, 0.0]]),
@@ -74,8 +70,7 @@ pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> Vec<Array1<f64>>
         psf.iter().map(|h| -h * h / peak).collect(),
         halo.iter().zip(psf).map(|(spread, h)| spread - h).collect(),
     ];
-    let in_tolerances = |(column, error): (Vec<f64>, &CameraError)| Array1::from(column) * error.tolerance;
-    all.into_iter().zip(&CAMERA_ERRORS).map(in_tolerances).collect()
+    all.map(Array1::from)
 }
 
 /// Fourier transform of a square image.
@@ -144,20 +139,20 @@ mod tests {
             &|u, v| (u + step * v, v + step * u),
             &|u, v| (u - step * v, v + step * u),
         ];
-        for ((map, column), error) in maps.iter().zip(&found).zip(&CAMERA_ERRORS) {
+        for (number, (map, column)) in maps.iter().zip(&found).enumerate() {
             let changed = image(map);
             let largest = column.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
             for ((changed, psf), column) in changed.iter().zip(&psf).zip(column) {
                 // A second derivative of some 10² steps.
-                let difference = (changed - psf) / step * error.tolerance;
-                assert!((difference - column).abs() < 1e-2 * largest, "{}: {difference} {column}", error.name);
+                let difference = (changed - psf) / step;
+                assert!((difference - column).abs() < 1e-2 * largest, "{number}: {difference} {column}");
             }
         }
         // The three gains and the flux are the gain of one quadrant; a halo moves light and loses
         // none.
         for (at, h) in psf.iter().enumerate() {
-            let sum = found[4][at] + found[5][at] + found[6][at] + 0.005 * h;
-            let wanted = if at % size >= size / 2 && at / size >= size / 2 { 0.02 * h } else { 0.0 };
+            let sum = found[4][at] + found[5][at] + found[6][at] + 0.5 * h;
+            let wanted = if at % size >= size / 2 && at / size >= size / 2 { 2.0 * h } else { 0.0 };
             assert!((sum - wanted).abs() < 1e-12, "{at}: {sum} {wanted}");
         }
         assert!(found[8].sum().abs() < 1e-9 * psf.iter().sum::<f64>());

@@ -1,0 +1,29 @@
+//! Section `[tolerance]`: how well the instrument is known.
+
+use super::table::{Check, default, section};
+use super::value::between;
+
+section! {
+    /// Standard deviations of what the scene takes to be exact, within which the images decide:
+    /// with estimate.posterior = true the error bars hold them; 0 is exact. Estimate only.
+    ToleranceScene = "tolerance" {
+        /// Scale of the image along x and along y, and its shear.
+        pixel_scale_fraction: f64, between(0.0, 0.1), default(1e-3);
+        /// Angle of the camera.
+        rotation_deg: f64, between(0.0, 10.0), default(0.1);
+        /// Gain of one half of the detector over the other, along x, along y, and of two opposite
+        /// quadrants over the others.
+        gain_fraction: f64, between(0.0, 1.0), default(0.01);
+        /// Loss of the detector's response at the peak of the star.
+        response_fraction: f64, between(0.0, 1.0), default(0.02);
+        /// Light in a halo with a scale length of 10 pixels.
+        halo_fraction: f64, between(0.0, 1.0), default(0.01);
+        /// Amplitude of the light in the pupil at the rim: slopes along x and y, and towards the
+        /// rim.
+        illumination_fraction: f64, between(0.0, 1.0), default(0.05);
+        /// Focus and two astigmatisms that all segments share, RMS of each.
+        common_figure_nm: f64, between(0.0, 1000.0), default(5.0);
+    }
+}
+
+impl Check for ToleranceScene {}
