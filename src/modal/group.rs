@@ -67,7 +67,7 @@ pub(crate) struct GroupEstimate {
     pub(crate) channels: Vec<std::result::Result<(ModalFitter, ModalEstimate), String>>,
     /// The minima that were found.
     pub(crate) minima: Minima,
-    /// Whether one wavefront explains every image.
+    /// Whether every image that is fitted can be used, and one wavefront explains all.
     pub(crate) is_explained: bool,
     /// Channel and number of the image that differs most from the wavefront of all, and the reduced
     /// χ² of its difference; `None` for fewer than three images.
@@ -109,7 +109,9 @@ pub(crate) fn estimate_group(
     }
     let fitters = own.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
     let joint = found.joint(&fitters)?;
-    let is_explained = found.is_explained() && !joint.is_contradictory();
+    let fitted = channels.iter().flat_map(|channel| &channel.fitted).filter(|is_fitted| **is_fitted).count();
+    let is_whole = found.group.members.len() == fitted;
+    let is_explained = is_whole && found.is_explained() && !joint.is_contradictory();
     let differences = found.group.members.iter().map(|member| member.place).zip(found.normal.consistency.of_each);
     let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| found.best.minima.len() > 2);
     let mut estimates = Vec::new();

@@ -293,7 +293,8 @@ fn warnings(minima: &Minima) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if minima.is_suspicious && minima.in_best < 2 {
+    // One start is near the minima of the single images.
+    if minima.is_suspicious && minima.in_best < 2 && minima.starts > 1 {
         sentences.push(format!(
             "only one of {} starts of the fit ended in this minimum, and χ² is larger than noise explains: it may be a wrong one",
             minima.starts
