@@ -399,9 +399,18 @@ mod tests {
             let same = |a: f64, b: f64, scale: f64| (a - b).abs() < 1e-13 * scale;
             let brightest = psf.iter().copied().fold(0.0, f64::max);
             assert!(linear.psf().iter().zip(&psf).all(|(a, b)| same(*a, *b, brightest)));
-            // The PSF is of second degree in the amplitudes: their derivatives add up to it twice.
-            let sum = linear.by_amplitudes().sum_axis(ndarray::Axis(0));
-            assert!(sum.iter().zip(&psf).all(|(sum, psf)| same(*sum, 2.0 * psf, brightest)));
+            // The PSF is of second degree in the amplitudes, so that the difference between one and
+            // a half and a half of one is its derivative.
+            for (changed, found) in linear.by_amplitudes().outer_iter().enumerate() {
+                let with_factor = |factor: f64| {
+                    let mut parts = chain.optics().parts().clone();
+                    let entries = parts.weights.segment.iter().zip(&mut parts.weights.weight);
+                    entries.filter(|(own, _)| **own == changed as u32).for_each(|(_, weight)| *weight *= factor);
+                    CpuChain::<f64>::new(Arc::new(Optics::new(parts).unwrap())).psf(at.view())
+                };
+                let pairs = with_factor(1.5).into_iter().zip(with_factor(0.5));
+                assert!(pairs.zip(found).all(|((more, less), found)| same(*found, more - less, brightest)), "{tilts}");
+            }
             for tile in [m, 5, 1] {
                 for first in (0..m).step_by(tile) {
                     let rows = first..m.min(first + tile);

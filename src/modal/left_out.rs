@@ -52,8 +52,8 @@ const ILLUMINATIONS: [&str; 3] = [
     "the slope of the illumination along y",
     "the illumination towards the rim",
 ];
-/// Standard deviations from which an error is named: with some thirteen of them one estimate in
-/// 1,000 has one by chance.
+/// Standard deviations from which an error is named: of twelve, one is beyond by chance in one
+/// estimate of 1,000.
 const SIGNIFICANT: f64 = 4.0;
 /// Share of the tolerance from which it is: at a peak S/N of 500 the approximations of the model
 /// are a tenth of that of the response.
