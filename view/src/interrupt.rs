@@ -20,8 +20,8 @@ const GRACE: Duration = Duration::from_millis(1500);
 /// Time for the last line, where a pipe does not take it.
 const LAST_LINE: Duration = Duration::from_millis(200);
 
-/// Whether the verb has ended, and its failure is said.
-static HAS_ENDED: AtomicBool = AtomicBool::new(false);
+/// Whether the last line is taken: the verb's own, or that of a program which is ended.
+static LAST_LINE_IS_TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// A write beyond `ulimit -f` then fails with a reason, as on a full disk, instead of killing the
 /// process and leaving its temporary file behind.
@@ -61,9 +61,19 @@ fn share_arenas() {
     }
 }
 
-/// The verb has ended: what follows is not interrupted by a second line.
+/// The verb has ended and says the last line: or, where it ends at the very moment at which the
+/// program is ended, does not return.
 pub(crate) fn verb_has_ended() {
-    HAS_ENDED.store(true, Ordering::SeqCst);
+    if !take_last_line() {
+        loop {
+            std::thread::park();
+        }
+    }
+}
+
+/// Whether the caller is the first to ask, and says the last line.
+fn take_last_line() -> bool {
+    !LAST_LINE_IS_TAKEN.swap(true, Ordering::SeqCst)
 }
 
 /// Ends the program after [`GRACE`]: files that are not complete are removed, and none appears
@@ -71,7 +81,7 @@ pub(crate) fn verb_has_ended() {
 fn end_after_grace() {
     std::thread::sleep(GRACE);
     abandon_files();
-    if !HAS_ENDED.load(Ordering::SeqCst) {
+    if take_last_line() {
         let seconds = GRACE.as_secs_f64();
         let line = move || {
             terminal::complain(&Error::Interrupted(format!(
