@@ -18,6 +18,8 @@ section! {
         response_fraction: f64, between(0.0, 1.0), default(0.02);
         /// Light in a halo with a scale length of 10 pixels.
         halo_fraction: f64, between(0.0, 1.0), default(0.01);
+        /// RMS of a blur along an axis, pixels: jitter, or charge that spreads.
+        blur_pixels: f64, between(0.0, 2.0), default(0.1);
         /// Amplitude of the light in the pupil at the rim: slopes along x and y, and towards the
         /// rim.
         illumination_fraction: f64, between(0.0, 1.0), default(0.05);

@@ -9,6 +9,10 @@
 //! | gain of a half; of two quadrants | ½ h within it, −½ h in the other: with the flux, all gains of quadrants |
 //! | response at the peak | −h²/max h |
 //! | halo | h spread by an exponential, less h |
+//! | blur: all round; along x, less along y; along the diagonals | ½ (h_uu + h_vv); ½ (h_uu − h_vv); h_uv |
+//!
+//! A Gaussian blur with variances s ± d along x and y and the covariance c, pixels², adds s, d and c
+//! times the last three to first order.
 //!
 //! Halves and quadrants are about the star: an amplifier whose border is elsewhere has a share of
 //! each.
@@ -21,7 +25,7 @@ use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// Number of errors.
-pub(super) const ERRORS: usize = 9;
+pub(super) const ERRORS: usize = 12;
 
 /// The errors, as the subjects of a sentence, each with its standard deviation before the images
 /// say more, in the order of [`columns`].
@@ -37,6 +41,9 @@ pub(super) fn errors(tolerance: &ToleranceScene) -> [(&'static str, f64); ERRORS
         ("the gain of the quadrants at +x, +y and at −x, −y, over that of the others,", gain),
         ("the loss of response at the peak", tolerance.response_fraction),
         ("the share of the light in a halo", tolerance.halo_fraction),
+        ("the variance of a blur (pixels²)", tolerance.blur_pixels.powi(2)),
+        ("half the variance of a blur along x, less that along y, (pixels²)", tolerance.blur_pixels.powi(2)),
+        ("the covariance of a blur along x and y (pixels²)", tolerance.blur_pixels.powi(2)),
     ]
 }
 
@@ -62,6 +69,9 @@ pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> [Array1<f64>; ER
     };
     let peak = psf.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let halo = spectrum.spread(HALO_PIXELS / native);
+    let blur = |form: &dyn Fn(f64, f64) -> f64| {
+        spectrum.times(|x, y| (-0.5 * form(TAU * x / native, TAU * y / native)).into())
+    };
     let all = [
         moved([[1.0, 0.0], [0.0, 0.0]]),
         moved([[0.0, 0.0], [0.0, 1.0]]),
@@ -72,6 +82,9 @@ pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> [Array1<f64>; ER
         halves(&|right, up| right == up),
         psf.iter().map(|h| -h * h / peak).collect(),
         halo.iter().zip(psf).map(|(spread, h)| spread - h).collect(),
+        blur(&|x, y| x * x + y * y),
+        blur(&|x, y| x * x - y * y),
+        blur(&|x, y| 2.0 * x * y),
     ];
     all.map(Array1::from)
 }
@@ -152,6 +165,27 @@ mod tests {
                 assert!((difference - column).abs() < 1e-5 * largest, "{number}: {difference} {column}");
             }
         }
+        // A Gaussian that is blurred has the variances of both; its peak falls by their ratio.
+        let variances = [0.5 * width * width, 0.5 * (1.5f64 * width).powi(2)];
+        let blurred = |[x, y]: [f64; 2]| {
+            let [own_x, own_y] = [variances[0] + x, variances[1] + y];
+            let scale = (variances[0] * variances[1] / (own_x * own_y)).sqrt();
+            move |at: usize| {
+                let (u, v) = ((at % size) as f64 - 35.0, (at / size) as f64 - 30.0);
+                scale * (-0.5 * (u * u / own_x + v * v / own_y)).exp()
+            }
+        };
+        for (column, along) in [(9, [1.0, 1.0]), (10, [1.0, -1.0])] {
+            let [before, after] = [-step, step].map(|step| blurred(along.map(|sign| sign * step)));
+            for (at, value) in found[column].iter().enumerate() {
+                let difference = (after(at) - before(at)) / (2.0 * step);
+                assert!((difference - value).abs() < 1e-7, "{column}: {difference} {value}");
+            }
+        }
+        // h_uv of a product is the product of the derivatives.
+        let off_axis = 27 * size + 40;
+        let product = 5.0 / variances[0] * -3.0 / variances[1] * psf[off_axis];
+        assert!((found[11][off_axis] - product).abs() < 1e-7, "{} {product}", found[11][off_axis]);
         // The three gains and the flux are the gain of one quadrant; a halo moves light and loses
         // none.
         for (at, h) in psf.iter().enumerate() {
