@@ -18,7 +18,7 @@ use super::prepare::PreparedFrame;
 use crate::imaging::Precision;
 use crate::modal::assess::mean_residual::{EXPLAINED, mean_residual_chi2};
 use crate::modal::assess::residual::variance;
-use crate::modal::assess::status::{ImageReport, Selection, Status, nothing_fitted};
+use crate::modal::assess::status::{ImageReport, Selection, Status, assess_all, nothing_fitted};
 use crate::modal::combine::agreement::Agreement;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::sequence::{SEQUENCE, scatter, shrinkage_of_variance};
@@ -182,7 +182,7 @@ pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
 /// Combines the fits of all images of a call; `is_tested` whether they are to be of one wavefront.
 pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: bool) -> Result<ModalEstimate> {
     let (model, motions) = (&fitter.model, &fitter.motions);
-    let ImageFits { mut coefficients_nm, reports: images } = fitted.assess(fitter);
+    let ImageFits { mut coefficients_nm, reports: mut images } = fitted.assess(fitter);
     let FittedCube { indices, prepared, minima, .. } = &mut fitted;
     let reports: Vec<ImageReport> = indices.iter().map(|&image| images[image]).collect();
     let how = fitter.recipe.combine;
@@ -196,7 +196,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
         minimum.coefficients_nm = row_nm.to_vec();
         coefficients_nm.row_mut(image).assign(&row_nm);
     }
-    let (prepared, minima, first) = (&*prepared, &*minima, used[0]);
+    let (prepared, first) = (&*prepared, used[0]);
     let mean_residual_chi2 = mean_residual_chi2(fitter, prepared, minima, &reports, &used);
     // The mean of several wavefronts is as far from each of them as they are from each other.
     let shrinkage = if agreement.is_contradictory() { 1.0 } else { shrinkage_of_variance(how, used.len()) };
@@ -210,11 +210,18 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let mut likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
     let mut left_out = None;
     if let Some(modes) = fitter.left_out()? {
-        let images: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
+        let fits: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
         // What a few images scatter is their noise, scaled by a χ² that the left-out modes explain.
         let noise_nm2 = if is_sequence { &single.noise_nm2 } else { &single.scatter_nm2 } * shrinkage;
-        let found = modes.marginalised((model, motions), &images, &likelihood, &(noise_nm2 + &single.shared_nm2))?;
+        let found = modes.marginalised((model, motions), &fits, &likelihood, &(noise_nm2 + &single.shared_nm2))?;
         likelihood = found.modes.clone();
+        for (&place, explained) in used.iter().zip(&found.explained_chi2) {
+            let chi2 = &mut minima[place].chi2;
+            chi2.value -= explained / chi2.freedom;
+        }
+        for (&image, report) in indices.iter().zip(assess_all(fitter, prepared, minima)) {
+            images[image] = report;
+        }
         left_out = Some(found);
     }
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();

@@ -205,7 +205,7 @@ impl ModalFitter {
             return Ok(Some(built));
         }
         let last = last_zernike([self.recipe.exact_zernikes, self.recipe.prior_zernikes]);
-        let built = LeftOut::new(&self.model, last, &self.scene.tolerance)?;
+        let built = LeftOut::new(&self.model, last, &self.scene.tolerance, None)?;
         Ok(Some(self.left_out.get_or_init(|| built)))
     }
 

@@ -20,10 +20,12 @@
 //! | `fit` | the fit from one start |
 //! | `starts` | fits from several starts, and which minima there are |
 //! | `consistency` | whether the images are of one wavefront |
+//! | `posterior` | what the modes leave out, marginalised |
 
 mod consistency;
 mod fit;
 mod member;
+mod posterior;
 mod prior;
 mod starts;
 mod unknowns;
@@ -41,7 +43,8 @@ use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Freedom, Group, Trial};
-use crate::modal::group::starts::fit_from_all;
+use crate::modal::group::posterior::GroupPosterior;
+use crate::modal::group::starts::{fit_from_all, is_right};
 use crate::modal::prepare::cube::Cube;
 use crate::modal::solve::engine::{FitState, ImageFit, prepare_frames, reason_of_none};
 use crate::scene::{Optic, System};
@@ -52,6 +55,8 @@ pub(crate) use starts::{Minima, Search};
 
 /// The images of one channel in a group, and the fitter of its scene.
 pub(crate) struct GroupChannel<'a> {
+    /// Its name, empty where it is the only one.
+    pub(crate) name: String,
     pub(crate) fitter: ModalFitter,
     pub(crate) cube: Cube<'a>,
     /// Which images are fitted; the others are compared with the wavefront of these.
@@ -94,8 +99,14 @@ pub(crate) fn estimate_group(
     control.enter(Stage::Fitting, 0);
     let own: Vec<&ModalFitter> = channels.iter().map(|channel| &channel.fitter).collect();
     let is_fitted = |[channel, image]: [usize; 2]| channels[channel].fitted[image];
-    let found = Solution::new(scene, &own, &fits, is_fitted, (near_nm, search), control)?;
+    let mut found = Solution::new(scene, &own, &fits, is_fitted, (near_nm, search), control)?;
     control.enter(Stage::Combining, 0);
+    let fitters = own.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
+    let names: Vec<String> = channels.iter().map(|channel| channel.name.clone()).collect();
+    let posterior = scene.estimate.posterior.then(|| found.posterior(scene, &fitters, &names)).transpose()?;
+    if let Some(posterior) = &posterior {
+        found.explain(&posterior.left_out.explained_chi2);
+    }
     found.group.write(&found.best, &mut fits);
     let places = fits.iter().enumerate().flat_map(|(channel, fits)| (0..fits.len()).map(move |image| [channel, image]));
     for place in places.filter(|place| !is_fitted(*place)).collect::<Vec<_>>() {
@@ -107,12 +118,16 @@ pub(crate) fn estimate_group(
         let compared = alone.fit(&found.best.point[..unknowns.shared()], Freedom::Tilts, &control.silent())?;
         alone.write(&compared, &mut fits);
     }
-    let fitters = own.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
-    let joint = found.joint(&fitters)?;
+    let mut joint = found.joint(&fitters)?;
+    let mut differences = &found.normal.consistency.of_each;
+    if let Some(posterior) = &posterior {
+        posterior.apply(&mut joint, &fitters[0]);
+        differences = &posterior.consistency.of_each;
+    }
     let fitted = channels.iter().flat_map(|channel| &channel.fitted).filter(|is_fitted| **is_fitted).count();
     let is_whole = found.group.members.len() == fitted;
     let is_explained = is_whole && found.is_explained() && !joint.is_contradictory();
-    let differences = found.group.members.iter().map(|member| member.place).zip(found.normal.consistency.of_each);
+    let differences = found.group.members.iter().map(|member| member.place).zip(differences.iter().copied());
     let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| found.best.minima.len() > 2);
     let mut estimates = Vec::new();
     for (fitter, fits) in fitters.into_iter().zip(fits) {
@@ -189,6 +204,14 @@ impl<'a> Solution<'a> {
         Ok(Self { group, best, minima, normal, amplitude, share })
     }
 
+    /// Takes what the modes leave out from the χ² of each image.
+    fn explain(&mut self, chi2: &[f64]) {
+        for (minimum, explained) in self.best.minima.iter_mut().zip(chi2) {
+            minimum.chi2.value -= explained / minimum.chi2.freedom;
+        }
+        self.minima.is_suspicious &= !is_right(&self.best);
+    }
+
     /// Whether the wavefront explains every image.
     fn is_explained(&self) -> bool {
         let each = self.group.members.iter().zip(&self.best.minima);
@@ -206,6 +229,11 @@ impl<'a> Solution<'a> {
             Some(_) => fitter.with_diversity_times(self.factor()),
             None => Ok(fitter.clone()),
         }
+    }
+
+    /// What the modes leave out, where `fitters` have the diversities that were found.
+    fn posterior(&self, scene: &System, fitters: &[ModalFitter], names: &[String]) -> Result<GroupPosterior> {
+        GroupPosterior::new(scene, (&self.group, &self.best, &self.normal), fitters, names)
     }
 
     /// The joint estimate, where `fitters` have the diversities that were found.
@@ -265,9 +293,10 @@ impl Normal {
     fn new(group: &mut Group, best: &mut Trial) -> Result<Self> {
         let scale = best.reduced_chi2().max(1.0);
         let each = best.each.take().unwrap_or_else(|| group.information_of_each(&best.point));
-        let consistency = consistency(group, best, &each, scale)?;
+        group.evaluate(&best.point);
+        let consistency = consistency(group, &each, group.scores(), scale)?;
         let inflation = scale * consistency.of_all.0.max(1.0);
-        let information = group.sum_of(&each) / inflation + &best.precision;
+        let information = group.sum_of(&each) / inflation + &best.prior.precision(group.unknowns.count());
         let floor = null_floor(information.nrows(), group.pixels());
         let covariance = pseudo_inverse(&information, floor)?;
         let amplitude = group.unknowns.amplitude();
@@ -311,6 +340,7 @@ impl Normal {
             sigma_maps: StaticMaps::of_error_bars(&first.model, &combined),
             modes: combined,
             defocus: None,
+            left_out: None,
             integers: Vec::new(),
             diversity_effect_nm,
             disagreement: self.consistency.of_all,

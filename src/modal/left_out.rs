@@ -16,32 +16,32 @@
 //! and a prior of tilts alone would take one for the other.
 
 mod camera;
+mod equations;
+mod groups;
+mod result;
+mod step;
 
-use crate::empirical_bayes::{CoefficientGroup, Posterior, VarianceRule, maximise_marginal_likelihood};
+use crate::empirical_bayes::VarianceRule;
 use crate::grid::Grid;
-use crate::imaging::{CpuChain, LinearModel, Mode, Optics, OpticsParts};
-use crate::modal::assess::fisher::{Sensitivity, null_floor, pseudo_inverse};
-use crate::modal::assess::residual::photometry;
-use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::combine::global_motions::GlobalMotions;
+use crate::imaging::{CpuChain, Mode, Optics, OpticsParts};
 use crate::modal::model::{Model, slopes};
-use crate::modal::prepare::PreparedFrame;
-use crate::modal::solve::minimum::Minimum;
 use crate::modes::{circle_zernikes, tilt_frames};
 use crate::pupil::Pupil;
 use crate::scene::{NollRange, ToleranceScene};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, Axis, concatenate, s};
+use groups::{Columns, Of};
+use ndarray::{Array2, ArrayView1, Axis, concatenate};
 use std::ops::Range;
 use std::sync::Arc;
+
+pub(in crate::modal) use groups::{Group, priors};
+pub(crate) use result::{LeftOutError, LeftOutTerm, WithLeftOut};
+pub(in crate::modal) use step::{Equations, Step};
 
 /// Last Zernike, in Noll's order, that is marginalised where the fit ends before it.
 const LAST_ZERNIKE: usize = 91;
 /// Most figures of segments, three for each: their maps are on all samples.
 const MOST_FIGURES: usize = 400;
-/// Smallest prior standard deviation, in the unit of a group: far below what an image at a peak S/N
-/// of 1,000 shows of a mode, so that it adds nothing to an error bar.
-const LEAST: f64 = 1e-3;
 /// Unit of the amplitudes of the segments, relative.
 const AMPLITUDE_UNIT: f64 = 1e-3;
 /// Prior standard deviation of an amplitude before the images say more, and its largest, in units.
@@ -52,23 +52,17 @@ const ILLUMINATIONS: [&str; 3] = [
     "the slope of the illumination along y",
     "the illumination towards the rim",
 ];
-/// Standard deviations from which an error is named: of twelve, one is beyond by chance in one
-/// estimate of 1,000.
-const SIGNIFICANT: f64 = 4.0;
-/// Share of the tolerance from which it is: at a peak S/N of 500 the approximations of the model
-/// are a tenth of that of the response.
-const REMARKABLE: f64 = 0.25;
-
 /// Modes that a fit leaves out.
 pub(in crate::modal) struct LeftOut {
     /// The model with these modes behind the fitted ones.
     chain: CpuChain<f64>,
-    /// Number of the fitted modes.
+    /// Number of the fitted modes, the amplitude of the diversity among them.
     fitted: usize,
     /// Tips and tilts of the segments among the fitted modes.
     tilts: Range<usize>,
     /// Number of all modes.
     modes: usize,
+    /// Those of the camera come last.
     groups: Vec<Group>,
     /// Patterns of the illumination over the segments, `[pattern, segment]`, where the amplitudes
     /// of these are among the unknowns.
@@ -76,100 +70,18 @@ pub(in crate::modal) struct LeftOut {
     tolerance: ToleranceScene,
 }
 
-/// Unknowns with one prior variance.
-struct Group {
-    name: String,
-    columns: Range<usize>,
-    /// Standard deviation of one, where the search begins: nm for modes.
-    rms: f64,
-    /// Largest one.
-    largest: f64,
-    rule: VarianceRule,
-    of: Of,
-}
-
-/// What the modes of a group are of, in order.
-#[derive(Debug, Clone, Copy)]
-enum Of {
-    /// Each segment, along x, and then each along y.
-    Tilts,
-    /// The same, which are among the fitted modes.
-    FittedTilts,
-    /// Three of each segment, one segment after the other.
-    Figures,
-    /// All segments.
-    AllSegments,
-    Ncpa,
-    /// Amplitudes of the segments.
-    Amplitudes,
-    /// An error of the optics or the camera, in units of this tolerance.
-    Tolerance(f64),
-}
-
-/// Modes that are marginalised, before they are modes of a chain.
-#[derive(Default)]
-struct Columns {
-    modes: Vec<Mode>,
-    groups: Vec<Group>,
-    /// Smooth modes at the illuminated samples, `[mode, sample]`.
-    rows: Vec<Array2<f64>>,
-    /// Number of smooth modes.
-    smooth: usize,
-    /// Number of modes with a prior that are fitted.
-    fitted: usize,
-    /// Number of unknowns that are no modes, which come last.
-    further: usize,
-}
-
-impl Columns {
-    fn push(
-        &mut self,
-        name: impl Into<String>,
-        modes: Vec<Mode>,
-        [rms, largest]: [f64; 2],
-        (rule, of): (VarianceRule, Of),
-    ) {
-        // Fitted ones come first, and are modes of the chain already.
-        let first = if self.groups.is_empty() { 0 } else { self.fitted + self.modes.len() };
-        self.modes.extend(modes);
-        self.groups.push(Group {
-            name: name.into(),
-            columns: first..self.fitted + self.modes.len(),
-            rms,
-            largest,
-            rule,
-            of,
-        });
-    }
-
-    /// Adds an error with this tolerance, where it has one.
-    fn push_error(&mut self, name: &str, tolerance: f64) {
-        if tolerance > 0.0 {
-            self.push_further(name, 1, [1.0, 1.0], (VarianceRule::Fixed, Of::Tolerance(tolerance)));
-        }
-    }
-
-    /// Adds unknowns that are no modes, behind all of these.
-    fn push_further(&mut self, name: &str, count: usize, [rms, largest]: [f64; 2], (rule, of): (VarianceRule, Of)) {
-        let first = self.fitted + self.modes.len() + self.further;
-        self.further += count;
-        self.groups.push(Group { name: name.into(), columns: first..first + count, rms, largest, rule, of });
-    }
-
-    fn push_rows(&mut self, name: impl Into<String>, rows: Array2<f64>, sizes_nm: [f64; 2], rule: (VarianceRule, Of)) {
-        let modes = (self.smooth..self.smooth + rows.nrows()).map(Mode::Smooth).collect();
-        self.smooth += rows.nrows();
-        self.rows.push(rows);
-        self.push(name, modes, sizes_nm, rule);
-    }
-}
-
 impl LeftOut {
-    /// What `model` leaves out.
+    /// What `model` leaves out; the last of the fitted modes is the amplitude of its diversity,
+    /// in nm of `amplitude_unit_nm`, where that is given.
     ///
     /// # Errors
     /// Those of [`Optics::new`].
-    pub(in crate::modal) fn new(model: &Model, last_zernike: usize, tolerance: &ToleranceScene) -> Result<Self> {
+    pub(in crate::modal) fn new(
+        model: &Model,
+        last_zernike: usize,
+        tolerance: &ToleranceScene,
+        amplitude_unit_nm: Option<f64>,
+    ) -> Result<Self> {
         let (parts, pupil) = (model.optics.parts().clone(), &model.telescope.pupil);
         let grid = Grid::new(parts.sampling.samples, pupil.grid.width_m() * model.width_ratio())?;
         let samples = grid.samples();
@@ -177,6 +89,12 @@ impl LeftOut {
             |&cell: &u32| (grid.coordinate_m(cell as usize % samples), grid.coordinate_m(cell as usize / samples));
         let points: Vec<(f64, f64)> = parts.weights.illuminated.iter().map(point).collect();
         let mut columns = Columns { smooth: parts.basis.nrows(), ..Columns::default() };
+        let amplitude = amplitude_unit_nm.map(|unit_nm| {
+            let diversity = ArrayView1::from(&parts.diversity_nm).to_owned() / unit_nm;
+            columns.rows.push(diversity.insert_axis(Axis(0)));
+            columns.smooth += 1;
+            Mode::Smooth(columns.smooth - 1)
+        });
         let segments = pupil.segments.len();
         let (mut own_slopes, mut tilts) = (parts.slopes.clone(), 0..0);
         if model.pistons() == segments && segments > 1 {
@@ -230,8 +148,8 @@ impl LeftOut {
         for (name, tolerance) in camera::errors(tolerance) {
             columns.push_error(name, tolerance);
         }
-        let fitted = parts.modes.len();
-        let modes: Vec<Mode> = parts.modes.iter().copied().chain(columns.modes).collect();
+        let fitted = parts.modes.len() + usize::from(amplitude.is_some());
+        let modes: Vec<Mode> = parts.modes.iter().copied().chain(amplitude).chain(columns.modes).collect();
         let count = modes.len();
         let rows: Vec<_> =
             std::iter::once(parts.basis.view()).chain(columns.rows.iter().map(|rows| rows.view())).collect();
@@ -241,233 +159,35 @@ impl LeftOut {
         Ok(Self { chain, fitted, tilts, modes: count, groups, illumination, tolerance: tolerance.clone() })
     }
 
-    /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
-    /// `likelihood` is their combination, and `noise_nm2` the part of its covariance that follows
-    /// from the images' noise.
-    ///
-    /// # Errors
-    /// [`Error::Internal`] for values that are not finite.
-    pub(in crate::modal) fn marginalised(
-        &self,
-        (model, motions): (&Model, &GlobalMotions),
-        images: &[(&PreparedFrame, &Minimum)],
-        likelihood: &CombinedModes,
-        noise_nm2: &Array2<f64>,
-    ) -> Result<WithLeftOut> {
-        let Self { fitted, tilts, .. } = self;
-        let Summed { information, score, chi2, freedom } = self.summed(model, images)?;
-        let free: Vec<usize> = (0..*fitted).filter(|mode| !tilts.contains(mode)).collect();
-        let with_prior: Vec<usize> = tilts.clone().chain(*fitted..score.len()).collect();
-        let block = |rows: &[usize], columns: &[usize]| information.select(Axis(0), rows).select(Axis(1), columns);
-        let floor = null_floor(score.len(), images.first().map_or(1, |(first, _)| first.exposure.weight.len()));
-        let inverse = pseudo_inverse(&block(&free, &free), floor)?;
-        let cross = block(&free, &with_prior);
-        let moves = inverse.dot(&cross);
-        let left = block(&with_prior, &with_prior) - cross.t().dot(&moves);
-        let value = |&mode: &usize| if mode < *fitted { likelihood.coefficients_nm[mode] } else { 0.0 };
-        let fitted_nm: Array1<f64> = with_prior.iter().map(value).collect();
-        let score = score.select(Axis(0), &with_prior);
-        let groups: Vec<CoefficientGroup> = self.groups.iter().map(Group::prior).collect();
-        let found = maximise_marginal_likelihood(&left, &(&score + &left.dot(&fitted_nm)), &groups)?;
-        let change_nm = &found.coefficients_nm - &fitted_nm;
-        // χ² that the change explains; the rest scales the error bars.
-        let explained = change_nm.dot(&(&score * 2.0 - left.dot(&change_nm)));
-        let scale = ((chi2 - explained) / freedom).max(1.0);
-        // Rows of the fitted modes by those with a prior: free ones follow these, others are among
-        // them.
-        let mut follow = Array2::zeros((*fitted, with_prior.len()));
-        for (row, &mode) in moves.outer_iter().zip(&free) {
-            follow.row_mut(mode).assign(&(-&row));
-        }
-        for (place, mode) in tilts.clone().enumerate() {
-            follow[[mode, place]] = 1.0;
-        }
-        let mut noise_alone_nm2 = Array2::zeros((*fitted, *fitted));
-        for (row, &mode) in inverse.outer_iter().zip(&free) {
-            row.iter().zip(&free).for_each(|(nm2, &other)| noise_alone_nm2[[mode, other]] = *nm2);
-        }
-        let changed_nm = &ArrayView1::from(&likelihood.coefficients_nm) + &follow.dot(&change_nm);
-        let mut coefficients_nm = changed_nm.to_vec();
-        motions.remove(&mut coefficients_nm);
-        let added_nm2 = motions.removed_from(&follow.dot(&found.covariance_nm2).dot(&follow.t())) * scale;
-        let noise_alone_nm2 = motions.removed_from(&noise_alone_nm2) * scale;
-        let covariance_nm2 = &likelihood.covariance_nm2 - noise_nm2 + noise_alone_nm2 + &added_nm2;
-        let (mut terms, mut errors) = (Vec::new(), Vec::new());
-        for (group, &rms) in self.groups.iter().zip(&found.prior_rms_nm) {
-            match group.of {
-                Of::Tolerance(tolerance) => errors.push(group.error(tolerance, &found, scale)),
-                Of::Amplitudes => {
-                    terms.push(LeftOutTerm { name: group.name.clone(), size: 100.0 * AMPLITUDE_UNIT * rms, unit: "%" })
-                }
-                _ => terms.push(LeftOutTerm { name: group.name.clone(), size: rms, unit: "nm" }),
-            }
-        }
-        let phasing_nm = self.phasing_nm(model, &found);
-        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
-        Ok(WithLeftOut { modes, added_nm2, phasing_nm, terms, errors })
+    /// Number of the unknowns.
+    pub(in crate::modal) fn unknowns(&self) -> usize {
+        self.fitted + self.groups.last().map_or(0, |group| group.columns.end) - self.tilts.len()
     }
 
-    /// Change of the PSF by one unit of each unknown that is no mode.
-    fn further(&self, model: &Model, linear: &LinearModel) -> Vec<Array1<f64>> {
-        let mut columns = Vec::new();
-        if let Some(patterns) = &self.illumination {
-            let amplitudes = linear.by_amplitudes();
-            columns.extend(amplitudes.outer_iter().map(|column| column.to_owned() * AMPLITUDE_UNIT));
-            let illumination = patterns.dot(&amplitudes);
-            let slopes = illumination.outer_iter().map(|column| column.to_owned());
-            columns.extend(in_tolerances(slopes.zip([self.tolerance.illumination_fraction; ILLUMINATIONS.len()])));
-        }
-        let native = model.preparation.native_pixels().sqrt();
-        let camera = camera::columns(linear.psf(), linear.pixels(), native).into_iter();
-        columns.extend(in_tolerances(camera.zip(camera::errors(&self.tolerance).map(|(_, tolerance)| tolerance))));
-        columns
+    /// Tips and tilts of the segments among the fitted modes, which have a prior here.
+    pub(in crate::modal) fn tilts(&self) -> Range<usize> {
+        self.tilts.clone()
     }
 
-    /// Gauss-Newton matrix and score of all images.
-    fn summed(&self, model: &Model, images: &[(&PreparedFrame, &Minimum)]) -> Result<Summed> {
-        let chain = &self.chain;
-        let (mut loaded, mut scratch, mut evaluation) = (chain.empty_image(), chain.scratch(), chain.evaluation());
-        let mut at = Array1::<f64>::zeros(self.modes);
-        let (mut score, mut first_information) = (Array1::<f64>::zeros(0), None);
-        let (mut square_snr, mut chi2, mut freedom) = (0.0, 0.0, 0.0);
-        for (prepared, minimum) in images {
-            let exposure = &prepared.exposure;
-            at.slice_mut(s![..self.fitted]).assign(&ArrayView1::from(&minimum.coefficients_nm));
-            chain.set(&mut loaded, exposure)?;
-            chain.evaluate_one(&loaded, at.view(), &mut scratch, &mut evaluation);
-            let linear = chain.linearise(at.view());
-            let further = self.further(model, &linear);
-            let (flux_e, background_e) = photometry(exposure, linear.psf());
-            let weighted: Array1<f64> = (linear.psf().iter().zip(&exposure.data_e).zip(&exposure.weight))
-                .map(|((psf, data), weight)| weight * (data - flux_e * psf - background_e))
-                .collect();
-            let of_modes = evaluation.gradient.iter().map(|slope| -0.5 * slope);
-            let own: Array1<f64> =
-                of_modes.chain(further.iter().map(|column| flux_e * column.dot(&weighted))).collect();
-            score = if score.is_empty() { own } else { score + own };
-            // That of the first image, as much as all images say.
-            if first_information.is_none() {
-                let weights = (exposure.weight.as_slice(), None);
-                let bytes = model.tiles().derivative_bytes;
-                let own = Sensitivity::of(&linear, &further, flux_e, weights, exposure.photometry, bytes).fisher;
-                first_information = Some((&own + &own.t()) * (0.5 / minimum.chi2.square_snr));
-            }
-            square_snr += minimum.chi2.square_snr;
-            chi2 += minimum.chi2.value * minimum.chi2.freedom;
-            freedom += minimum.chi2.freedom;
-        }
-        let Some(information) = first_information else {
-            return Err(Error::Internal("there is no image whose left-out modes could be marginalised".into()));
-        };
-        Ok(Summed { information: information * square_snr, score, chi2, freedom })
+    /// The unknowns that are an error of the camera, the last ones.
+    pub(in crate::modal) fn of_camera(&self) -> Range<usize> {
+        let errors = camera::errors(&self.tolerance).iter().filter(|(_, tolerance)| *tolerance > 0.0).count();
+        self.unknowns() - errors..self.unknowns()
     }
 
-    /// RMS over the pupil of what is left out of the segments, nm, which the maps do not have:
-    /// modes of a segment have the share of its area.
-    fn phasing_nm(&self, model: &Model, found: &Posterior) -> f64 {
-        let areas = model.telescope.pupil.segment_areas();
-        let total: f64 = areas.iter().sum();
-        let mut square_nm2 = 0.0;
-        for group in &self.groups {
-            for (place, column) in group.columns.clone().enumerate() {
-                let share = match group.of {
-                    Of::Tilts => areas[place % areas.len()] / total,
-                    Of::Figures => areas[place / 3] / total,
-                    Of::AllSegments => 1.0,
-                    Of::FittedTilts | Of::Ncpa | Of::Amplitudes | Of::Tolerance(_) => 0.0,
-                };
-                square_nm2 += share * (found.coefficients_nm[column].powi(2) + found.covariance_nm2[[column, column]]);
-            }
-        }
-        square_nm2.sqrt()
+    /// The groups of images with several `cameras`, whose errors come one camera after the other.
+    pub(in crate::modal) fn groups_of(&self, cameras: &[String]) -> Vec<Group> {
+        let (common, own) = self.groups.split_at(self.groups.len() - self.of_camera().len());
+        let each = cameras.iter().enumerate().flat_map(|(number, camera)| {
+            own.iter().map(move |group| {
+                let Range { start, end } = group.columns;
+                let columns = start + number * own.len()..end + number * own.len();
+                let name = if camera.is_empty() { group.name.clone() } else { format!("{} ({camera})", group.name) };
+                Group { name, columns, ..group.clone() }
+            })
+        });
+        common.iter().cloned().chain(each).collect()
     }
-}
-
-/// Columns in units of their tolerances; those that are exact are none.
-fn in_tolerances(columns: impl Iterator<Item = (Array1<f64>, f64)>) -> impl Iterator<Item = Array1<f64>> {
-    columns.filter(|(_, tolerance)| *tolerance > 0.0).map(|(column, tolerance)| column * tolerance)
-}
-
-/// Normal equations of images at their minima.
-struct Summed {
-    information: Array2<f64>,
-    /// −½ of the gradient.
-    score: Array1<f64>,
-    chi2: f64,
-    freedom: f64,
-}
-
-impl Group {
-    fn prior(&self) -> CoefficientGroup {
-        CoefficientGroup {
-            columns: self.columns.clone(),
-            variance_nm2: self.rms.powi(2),
-            range_nm2: [LEAST.powi(2), self.largest.powi(2)],
-            rule: self.rule,
-        }
-    }
-
-    /// The error that this group is of, whose prior standard deviation is `tolerance`. Variances
-    /// are `scale` times those of the noise.
-    fn error(&self, tolerance: f64, found: &Posterior, scale: f64) -> LeftOutError {
-        let place = self.columns.start;
-        let (value, variance) = (found.coefficients_nm[place], found.covariance_nm2[[place, place]]);
-        // Without the prior of variance 1: 1/variance = 1/own + 1, value/variance = seen/own.
-        let own = variance / (1.0 - variance).max(f64::EPSILON);
-        LeftOutError {
-            name: self.name.clone(),
-            value: value * tolerance,
-            sigma: (variance * scale).sqrt() * tolerance,
-            tolerance,
-            significance: value / variance * (own / scale).sqrt(),
-        }
-    }
-}
-
-/// Modes with the errors of what was left out.
-#[derive(Debug, Clone)]
-pub(crate) struct WithLeftOut {
-    /// Their mean and covariance.
-    pub(crate) modes: CombinedModes,
-    /// The part of the covariance that what was left out adds.
-    pub(crate) added_nm2: Array2<f64>,
-    /// RMS of what was left out of the phasing, which the map does not have, nm.
-    pub(crate) phasing_nm: f64,
-    /// How large each group is.
-    pub(crate) terms: Vec<LeftOutTerm>,
-    /// Errors of the optics and the camera.
-    pub(crate) errors: Vec<LeftOutError>,
-}
-
-/// An error of the optics or the camera that the scene takes to have none; relative, or rad.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct LeftOutError {
-    /// What is wrong, as the subject of a sentence.
-    pub(crate) name: String,
-    /// Its value, and the error bar of that.
-    pub(crate) value: f64,
-    pub(crate) sigma: f64,
-    /// Its standard deviation before the images.
-    pub(crate) tolerance: f64,
-    /// Value that the images say without the tolerance, over its error bar.
-    pub(crate) significance: f64,
-}
-
-impl LeftOutError {
-    /// Whether the images show it, and it is not small beside its tolerance.
-    pub(crate) fn is_shown(&self) -> bool {
-        self.significance.abs() > SIGNIFICANT && self.value.abs() > REMARKABLE * self.tolerance
-    }
-}
-
-/// Modes that were left out of the fit, and how large the images say they are.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct LeftOutTerm {
-    /// What they are.
-    pub(crate) name: String,
-    /// Standard deviation of each of its modes, in this unit.
-    pub(crate) size: f64,
-    pub(crate) unit: &'static str,
 }
 
 /// Slopes along x and y, and squares of the distance from the centre, of the segments' centres, at

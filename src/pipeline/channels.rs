@@ -9,7 +9,7 @@ use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{Extension, Selected};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
-use super::warnings::{contradiction_warning, integers_warning};
+use super::warnings::{contradiction_warning, integers_warning, left_out_warnings};
 use crate::control::{Control, Stage};
 use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, joint};
 use crate::scene::{Grouping, Optic, Scene, Sections};
@@ -83,7 +83,10 @@ impl<'a> Channels<'a> {
         channels: &'a [&'a ChannelImages<'a>],
     ) -> Result<Self> {
         let scenes = channels.iter().map(|channel| {
-            let own = if channel.name.is_some() { own_scene(&channel.scene)? } else { channel.scene.clone() };
+            let own = match channel.name {
+                Some(_) => own_scene(&channel.scene, channels.len() > 1)?,
+                None => channel.scene.clone(),
+            };
             Ok((own, channel.cache.clone()))
         });
         Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control })
@@ -201,9 +204,13 @@ impl<'a> Channels<'a> {
 }
 
 /// The scene by which one channel is fitted: without the amplitude of its diversity, which only all
-/// channels together determine, and alone.
-fn own_scene(scene: &Scene) -> Result<Scene> {
+/// channels together determine, and alone. What the modes leave out is common to channels, so that
+/// the fit of one of `is_of_several` cannot hold it.
+fn own_scene(scene: &Scene, is_of_several: bool) -> Result<Scene> {
     scene.changed(|sections| {
+        if is_of_several {
+            sections.leave_out_posterior();
+        }
         sections.estimate.fit_optics.retain(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic));
         sections.estimate.group = Grouping::Each;
     })
@@ -239,7 +246,13 @@ pub(super) fn combined(
     let name = if is_sequence { "scatter between images" } else { "noise" };
     let is_unknown = scene.estimate.diversity_error > 0.0 || found.defocus.is_some();
     let name = format!("{name}{}", if is_unknown { ", amplitude of the diversities" } else { "" });
-    let sigma_nm = errors.rms_nm(&found.modes.covariance_nm2)?;
+    let [phasing_nm, ncpa_nm, _] = errors.rms_nm(&found.modes.covariance_nm2)?;
+    let mut error_budget = vec![ErrorTerm { name, phasing_nm, ncpa_nm }];
+    if let Some(left_out) = &found.left_out {
+        let own = errors.take_left_out(&mut error_budget[0], left_out)?;
+        error_budget.push(own);
+    }
+    let sigma_nm = errors.with_left_out_nm(&found.modes.covariance_nm2, found.left_out.as_ref())?;
     Ok(Estimate {
         // The scene as given, with its channels.
         scene: scene.clone(),
@@ -247,7 +260,7 @@ pub(super) fn combined(
         basis: first.basis.clone(),
         figures: Figures::new(&first.pupil, &found.maps, sigma_nm)?,
         pupil: first.pupil.clone(),
-        error_budget: vec![ErrorTerm { name, phasing_nm: sigma_nm[0], ncpa_nm: sigma_nm[1] }],
+        error_budget,
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
         status: *Status::worst(each.iter().map(|one| &one.status)),
@@ -255,7 +268,7 @@ pub(super) fn combined(
         model: first.model.clone(),
         optics: optics(&found, &names, &each),
         warnings: warnings(&found, &names, &each),
-        remarks: remarks(&found, &errors, &each)?,
+        remarks: remarks(scene, &found, &errors, &each)?,
         run: Run { seconds: sum(|run| run.seconds), model_seconds: sum(|run| run.model_seconds), ..first.run.clone() },
         channels: names,
         modes: found.modes,
@@ -280,14 +293,21 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             defocus.optic.word()
         ));
     }
+    sentences.extend(found.left_out.as_ref().map(left_out_warnings).unwrap_or_default());
     sentences.extend(integers_warning(&found.integers));
     sentences.extend(found.is_contradictory().then(|| contradiction_warning(found.disagreement)));
     sentences
 }
 
 /// Remarks of the channels, each once; that on the diversity is of all channels together.
-fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
-    let mut sentences: Vec<String> = Vec::new();
+fn remarks(scene: &Scene, found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
+    let mut sentences: Vec<String> = found.left_out.iter().map(super::remarks::left_out_remark).collect();
+    if scene.estimate.posterior && each.len() > 1 && found.left_out.is_none() {
+        sentences.push(
+            "The error bars do not hold what the modes leave out: these images were fitted alone, because one wavefront does not explain them."
+                .into(),
+        );
+    }
     for sentence in each.iter().flat_map(|one| &one.remarks) {
         if !sentences.contains(sentence) && !sentence.starts_with(super::remarks::ON_DIVERSITY) {
             sentences.push(sentence.clone());

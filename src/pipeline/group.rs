@@ -28,12 +28,6 @@ impl Together {
     /// Those of the diversities; [`Error::Scene`] for settings that a fit of several images
     /// together does not have.
     pub(super) fn of(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<Option<Self>> {
-        if scene.estimate.posterior && (channels.len() > 1 || scene.estimate.group == Grouping::All) {
-            return Err(Error::Scene(format!(
-                "{}: estimate.posterior = true is for images of one channel that are fitted alone; leave it out",
-                scene.name()
-            )));
-        }
         let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
         let alone = || match &scene.estimate.fitted_images {
             None => Ok(None),
@@ -41,6 +35,15 @@ impl Together {
                 "{}: estimate.fitted_images names images that are fitted together, and each is fitted alone here; leave it out, or set \
                  estimate.group = \"all\"",
                 scene.name()
+            ))),
+        };
+        let alone = || match scene.estimate.posterior && channels.len() > 1 {
+            false => alone(),
+            true => Err(Error::Scene(format!(
+                "{}: estimate.posterior = true is for images that are fitted together, or of one channel, and here those of {} channels are \
+                 fitted alone; set estimate.group = \"all\", or leave it out",
+                scene.name(),
+                channels.len()
             ))),
         };
         if scene.estimate.group == Grouping::Each || (scene.estimate.group == Grouping::Auto && channels.len() < 2) {
@@ -219,14 +222,15 @@ impl GroupTask<'_> {
                 sections.estimate.fit_optics.clear();
                 sections.estimate.group = Grouping::Each;
                 sections.estimate.fitted_images = None;
-                sections.estimate.posterior = false;
+                sections.leave_out_posterior();
             })?;
             let fitter = match known.next_if(|_| !is_weak) {
                 Some(fitted) => fitted.fit.0.clone(),
                 None => modal::fitter_for(&own, self.policy.recipe(&own), &channel.cache, channel.images.cube())?,
             };
             self.control.check("the models were built in part, no image was fitted")?;
-            Ok((own, GroupChannel { fitter, cube: channel.images.cube(), fitted: fitted.clone() }))
+            let name = channel.name.unwrap_or_default().to_owned();
+            Ok((own, GroupChannel { name, fitter, cube: channel.images.cube(), fitted: fitted.clone() }))
         });
         let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
         let model_seconds = began.elapsed().as_secs_f64();

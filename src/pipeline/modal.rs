@@ -8,7 +8,7 @@ use super::policy::Policy;
 use super::{remarks, warnings};
 use crate::Result;
 use crate::metrics::MapGram;
-use crate::modal::{self, Combination, FittedOptic, Model};
+use crate::modal::{self, Combination, FittedOptic, Model, WithLeftOut};
 use crate::modes::Group;
 use crate::scene::NollRange;
 use crate::statics::ErrorTerm;
@@ -24,11 +24,7 @@ impl Fitted {
         let diversity = fitter.diversity_projection()?;
         let errors = ExpectedErrors::new(model)?;
         let pupil = model.telescope.pupil.clone();
-        let mut sigma_nm = errors.rms_nm(&found.combined.modes.covariance_nm2)?;
-        if let Some(left_out) = found.left_out() {
-            // Tilts and figures of segments are in no map.
-            [sigma_nm[0], sigma_nm[2]] = [0, 2].map(|k| sigma_nm[k].hypot(left_out.phasing_nm));
-        }
+        let sigma_nm = errors.with_left_out_nm(&found.combined.modes.covariance_nm2, found.left_out())?;
         let remarks = [
             found.left_out().map(remarks::left_out_remark),
             selected.as_ref().map(|selected| selected.remark.clone()),
@@ -126,6 +122,26 @@ impl ExpectedErrors {
         };
         Ok([rms_nm(&|group| group == Group::Segment)?, rms_nm(&|group| group == Group::Ncpa)?, rms_nm(&|_| true)?])
     }
+
+    /// The same with what is left out of the segments, of which tilts and figures are in no map.
+    pub(super) fn with_left_out_nm(
+        &self,
+        covariance_nm2: &Array2<f64>,
+        left_out: Option<&WithLeftOut>,
+    ) -> Result<[f64; 3]> {
+        let unseen_nm = left_out.map_or(0.0, |left_out| left_out.phasing_nm);
+        let [phasing_nm, ncpa_nm, whole_nm] = self.rms_nm(covariance_nm2)?;
+        Ok([phasing_nm.hypot(unseen_nm), ncpa_nm, whole_nm.hypot(unseen_nm)])
+    }
+
+    /// Takes what was left out from the term `images`, whose covariance has it, too; its own term.
+    pub(super) fn take_left_out(&self, images: &mut ErrorTerm, left_out: &WithLeftOut) -> Result<ErrorTerm> {
+        let [phasing_nm, ncpa_nm, _] = self.rms_nm(&left_out.added_nm2)?;
+        let less = |all_nm: f64, own_nm: f64| (all_nm * all_nm - own_nm * own_nm).max(0.0).sqrt();
+        images.phasing_nm = less(images.phasing_nm, phasing_nm);
+        images.ncpa_nm = less(images.ncpa_nm, ncpa_nm);
+        Ok(ErrorTerm { name: "what is not fitted".into(), phasing_nm: phasing_nm.hypot(left_out.phasing_nm), ncpa_nm })
+    }
 }
 
 /// Terms of the covariance: the part that the images average out, and the errors that all of them
@@ -146,12 +162,8 @@ fn error_budget(
         .map(term)
         .collect::<Result<_>>()?;
     if let Some(left_out) = found.left_out() {
-        let own = term(("what is not fitted", &left_out.added_nm2))?;
-        // The covariance of the images has it, too.
-        let less = |all_nm: f64, own_nm: f64| (all_nm * all_nm - own_nm * own_nm).max(0.0).sqrt();
-        terms[0].phasing_nm = less(terms[0].phasing_nm, own.phasing_nm);
-        terms[0].ncpa_nm = less(terms[0].ncpa_nm, own.ncpa_nm);
-        terms.push(ErrorTerm { phasing_nm: own.phasing_nm.hypot(left_out.phasing_nm), ..own });
+        let own = errors.take_left_out(&mut terms[0], left_out)?;
+        terms.push(own);
     }
     Ok(terms)
 }

@@ -104,8 +104,7 @@ pub(super) fn modal_warnings(
 }
 
 /// Warnings on errors of the optics and the camera that the images show.
-fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
-    let shown = left_out.errors.iter().filter(|error| error.is_shown());
+pub(super) fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
     let sentence = |error: &LeftOutError| {
         let LeftOutError { name, value, sigma, tolerance, significance } = error;
         format!(
@@ -114,7 +113,7 @@ fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
             significance.abs()
         )
     };
-    shown.map(sentence).collect()
+    left_out.shown_errors().map(sentence).collect()
 }
 
 /// Warning on combinations of modes that the images do not show.

@@ -214,8 +214,7 @@ impl Sections {
             let sentence = "control.reconstructor = \"sparse\" is not accepted where wavefront_sensor.kind = \"pyramid\", whose slopes depend on the whole wavefront; \"dense\" is needed";
             return Err(reader("control").error("reconstructor", sentence));
         }
-        let usual = ToleranceScene::read(&Reader { item: None, ..reader("tolerance") })?;
-        let named = self.tolerance.differences(&usual).into_iter().next();
+        let named = self.tolerance.differences(&ToleranceScene::usual()?).into_iter().next();
         if let Some((key, value)) = named.filter(|_| !self.estimate.posterior) {
             let sentence = format!(
                 "tolerance.{key} = {value} has no effect without estimate.posterior = true, by which error bars hold the tolerances; set it, or \
@@ -227,6 +226,14 @@ impl Sections {
             self.check_turns().map_err(|sentence| reader("image").error("pupil_turns_deg", sentence))?;
         }
         Ok(())
+    }
+
+    /// Leaves what the modes leave out to whoever combines several of these systems: neither
+    /// `estimate.posterior` nor a tolerance that would then have no effect.
+    pub(crate) fn leave_out_posterior(&mut self) {
+        if let Ok(usual) = ToleranceScene::usual() {
+            (self.estimate.posterior, self.tolerance) = (false, usual);
+        }
     }
 
     /// Why the pupil cannot turn as the scene says.

@@ -1,7 +1,9 @@
 //! Section `[tolerance]`: how well the instrument is known.
 
-use super::table::{Check, default, section};
+use super::purpose::Purpose;
+use super::table::{Check, Reader, Section, Source, default, section};
 use super::value::between;
+use crate::Result;
 
 section! {
     /// Standard deviations of what the scene takes to be exact, within which the images decide:
@@ -29,3 +31,14 @@ section! {
 }
 
 impl Check for ToleranceScene {}
+
+impl ToleranceScene {
+    /// Those of a scene that names none.
+    ///
+    /// # Errors
+    /// None: every key has a default.
+    pub(super) fn usual() -> Result<Self> {
+        let source = Source { name: "", text: "", purpose: Purpose::Whole, settings: &[] };
+        Self::read(&Reader { source, section: Self::NAME, item: None })
+    }
+}

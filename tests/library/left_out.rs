@@ -109,9 +109,47 @@ fn tilts_that_are_fitted_have_the_prior_too() {
     assert!(nm < free_nm && pulls(&found).iter().all(|pull| *pull < 1.6), "{nm} {free_nm} {:?}", pulls(&found));
 }
 
+/// The estimate of a pair of images that `simulated` changes, by a scene without these changes.
+fn pair(settings: &[(&str, &str)], simulated: &[(&str, &str)], posterior: bool) -> Estimate {
+    let own = [
+        ("image.pixels", "128"),
+        ("image.samples_per_lambda_over_d", "2"),
+        ("image.peak_snr", "150"),
+        ("estimate.model", "scene"),
+        ("estimate.posterior", if posterior { "true" } else { "false" }),
+    ];
+    let scene = Scene::preset("keck-pair").unwrap().with(&[&own[..], settings].concat()).unwrap();
+    let mut images = Images::simulated_channels(&scene.with(simulated).unwrap()).unwrap();
+    images.iter_mut().for_each(|images| images.scene = None);
+    shown(Estimator::new(&scene).unwrap().estimate(&images).unwrap())
+}
+
 #[test]
-fn several_channels_are_refused() {
-    let text = scene(&[("estimate.posterior", "true")]).text().replacen(
+fn channels_hold_tilts_that_are_not_fitted() {
+    let tilted = [("aberrations.segment_tip_tilt_rms_nm", "4")];
+    let without = pulls(&pair(&[], &tilted, false));
+    assert!(without[0] > 3.0, "{without:?}");
+    let found = pair(&[], &tilted, true);
+    assert!(pulls(&found).iter().all(|pull| (0.4..1.6).contains(pull)), "{:?}", pulls(&found));
+    let [noise, left_out] = &found.error_budget[..] else { panic!("{:?}", found.error_budget) };
+    assert!(left_out.name == "what is not fitted" && left_out.phasing_nm > 2.0 * noise.phasing_nm, "{left_out:?}");
+}
+
+/// Both channels have one camera, whose scale is a tenth of a per cent off.
+#[test]
+fn channels_name_an_error_of_their_camera() {
+    let found = pair(&[], &[("image.samples_per_lambda_over_d", "2.002")], true);
+    assert!(pulls(&found).iter().all(|pull| *pull < 1.6), "{:?}", pulls(&found));
+    let named: Vec<_> = found.warnings.iter().filter(|warning| warning.contains("show an error")).collect();
+    let is_scale = |warning: &&String| warning.contains("the scale of the image along");
+    assert!(!named.is_empty() && named.iter().all(is_scale), "{:?}", found.warnings);
+    let nominal = pair(&[], &[], true);
+    assert!(nominal.warnings.is_empty() && pulls(&nominal).iter().all(|pull| *pull < 1.6), "{nominal:?}");
+}
+
+#[test]
+fn channels_that_are_fitted_alone_refuse_the_posterior() {
+    let text = scene(&[("estimate.posterior", "true"), ("image.count", "2")]).text().replacen(
         "[modes]",
         "[[image.channel]]\n[[image.channel]]\ndiversity_focus_waves_rms = -0.8\n[modes]",
         1,
@@ -119,5 +157,5 @@ fn several_channels_are_refused() {
     let pair = Scene::from_text(&text, Path::new("")).unwrap();
     let images = Images::simulated_channels(&pair).unwrap();
     let error = Estimator::new(&pair).unwrap().estimate(&images).unwrap_err().to_string();
-    assert!(error.contains("estimate.posterior = true is for images of one channel"), "{error}");
+    assert!(error.contains("estimate.posterior = true") && error.contains("of 2 channels are fitted alone"), "{error}");
 }

@@ -29,6 +29,7 @@ use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::combine::{ModalEstimate, with_prior};
 use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::fitter::ModalFitter;
+use crate::modal::left_out::WithLeftOut;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate, s};
@@ -57,6 +58,8 @@ pub(crate) struct JointEstimate {
     pub(crate) sigma_maps: StaticMaps,
     /// Amplitude of the diversity of the first channel that has one, where it was fitted.
     pub(crate) defocus: Option<FittedOptic>,
+    /// What the modes leave out, where it is marginalised.
+    pub(crate) left_out: Option<WithLeftOut>,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
     pub(crate) integers: Vec<PistonInteger>,
     /// Change of the modes for a relative error 1 of the amplitude of all diversities, nm; none
@@ -177,6 +180,7 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
         sigma_maps: StaticMaps::of_error_bars(model, &modes),
         modes,
         defocus,
+        left_out: None,
         integers,
         diversity_effect_nm,
         disagreement,

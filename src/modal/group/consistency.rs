@@ -9,7 +9,7 @@
 
 use crate::Result;
 use crate::modal::assess::fisher::{null_floor, root_of_pseudo_inverse, without};
-use crate::modal::group::fit::{Group, Trial};
+use crate::modal::group::fit::Group;
 use crate::optimize::Metric;
 use ndarray::{Array1, Array2};
 
@@ -24,16 +24,20 @@ pub(super) struct Consistency {
     pub(super) of_each: Vec<f64>,
 }
 
-/// The differences of the images at `best`, where they have the Gauss-Newton matrices `each`;
-/// variances are `scale` times those of the noise.
+/// The differences of the images, where they have the Gauss-Newton matrices `each` and the
+/// `scores` g_i; variances are `scale` times those of the noise.
 ///
 /// # Errors
 /// [`crate::Error::Value`] where no mode changes the images.
-pub(super) fn consistency(group: &mut Group, best: &Trial, each: &[Array2<f64>], scale: f64) -> Result<Consistency> {
-    group.evaluate(&best.point);
+pub(super) fn consistency(
+    group: &Group,
+    each: &[Array2<f64>],
+    scores: Vec<Array1<f64>>,
+    scale: f64,
+) -> Result<Consistency> {
     let tilts = group.unknowns.tilts();
     let shared = group.unknowns.shared();
-    let each = each.iter().map(|own| without(own.clone(), &tilts)).zip(group.scores()).collect::<Vec<_>>();
+    let each = each.iter().map(|own| without(own.clone(), &tilts)).zip(scores).collect::<Vec<_>>();
     let all = each.iter().fold(Array2::zeros((shared, shared)), |sum, (own, _)| sum + own);
     let root = root_of_pseudo_inverse(&all, null_floor(shared, group.pixels()))?;
     let (mut chi2, mut freedom, mut of_each) = (0.0, 0.0, Vec::new());

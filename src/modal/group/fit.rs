@@ -66,8 +66,8 @@ pub(super) struct Trial {
     pub(super) point: Vec<f64>,
     /// Of each image, in order.
     pub(super) minima: Vec<Minimum>,
-    /// Inverse covariance of the prior of the unknowns, nm⁻².
-    pub(super) precision: Array2<f64>,
+    /// Prior of the modes with the last levels.
+    pub(super) prior: Prior,
     /// The squares of the modes in units of the prior before the images said more.
     penalty: f64,
     /// Gauss-Newton matrix of each image within an error bar of the point, with weights of the
@@ -198,6 +198,16 @@ impl<'a> Group<'a> {
         (&sum + &sum.t()) * 0.5
     }
 
+    /// Inverse covariance of what is known before the images, by `prior`: nothing of the modes
+    /// `free`.
+    pub(super) fn precision(&self, prior: &Prior, free: std::ops::Range<usize>) -> Array2<f64> {
+        let mut precision = prior.precision_but(self.unknowns.count(), free);
+        if let Some(place) = self.unknowns.amplitude() {
+            precision[[place, place]] += self.amplitude_nm.powi(-2);
+        }
+        precision
+    }
+
     /// −½ of the gradient of each image, where it was evaluated last, by the unknowns that all
     /// share.
     pub(super) fn scores(&self) -> Vec<Array1<f64>> {
@@ -314,7 +324,7 @@ impl<'a> Group<'a> {
         let at = ArrayView1::from(&point);
         let penalty = at.dot(&self.prior.precision(count).dot(&at));
         let is_known = has_model_weights && is_near(&at.to_owned(), &informed_at, &information);
-        Ok(Trial { minima, precision: known, penalty, each: is_known.then_some(each), point })
+        Ok(Trial { minima, prior, penalty, each: is_known.then_some(each), point })
     }
 
     /// Moves pistons by whole wavelengths to those of the smallest spread, where all images are of

@@ -96,7 +96,14 @@ impl Prior {
 
     /// Inverse covariance of the first of `unknowns`, the modes, nm⁻²; 0 for the others.
     pub(super) fn precision(&self, unknowns: usize) -> Array2<f64> {
-        let own = without(Array2::from_diag(&self.sigma_nm().mapv(|nm| nm.powi(-2))), &self.tilts);
+        self.precision_but(unknowns, 0..0)
+    }
+
+    /// The same where the modes `free` have no prior.
+    pub(super) fn precision_but(&self, unknowns: usize, free: Range<usize>) -> Array2<f64> {
+        let mut own = self.sigma_nm().mapv(|nm| nm.powi(-2));
+        own.slice_mut(s![free]).fill(0.0);
+        let own = without(Array2::from_diag(&own), &self.tilts);
         let mut padded = Array2::zeros((unknowns, unknowns));
         padded.slice_mut(s![..own.nrows(), ..own.ncols()]).assign(&own);
         padded

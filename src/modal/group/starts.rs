@@ -90,7 +90,6 @@ pub(super) fn fit_from_all(
         None => (&flat_nm[..], Freedom::Minimum),
     };
     let mut trials = vec![group.fit(&from(first, 1.0), precision, silent)?];
-    let is_right = |trial: &Trial| trial.has_converged() && deviations(trial) < SUSPICIOUS;
     if search == Search::First || (search == Search::IfNeeded && is_right(&trials[0])) {
         let only = trials.swap_remove(0);
         let is_suspicious = !is_right(&only);
@@ -173,6 +172,11 @@ fn is_same(one: &Trial, other: &Trial) -> bool {
 /// Number of trials in the minimum of the trial `best`.
 fn in_minimum(trials: &[Trial], best: usize) -> usize {
     trials.iter().filter(|trial| is_same(trial, &trials[best])).count()
+}
+
+/// Whether the fit has converged, and noise explains χ² of all images.
+pub(super) fn is_right(trial: &Trial) -> bool {
+    trial.has_converged() && deviations(trial) < SUSPICIOUS
 }
 
 /// χ² of all images above its expectation, in standard deviations.

@@ -40,6 +40,11 @@ impl Unknowns {
         padded
     }
 
+    /// Place of the first of an image's own tip and tilt; `None` for the first image.
+    pub(super) fn first_tilt(&self, image: usize) -> Option<usize> {
+        (image > 0 && self.tilts.nrows() > 0).then(|| self.own(image).0)
+    }
+
     /// Place of the first of an image's own unknowns, and how many there are.
     fn own(&self, image: usize) -> (usize, usize) {
         let count = self.tilts.nrows();

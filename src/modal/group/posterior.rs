@@ -1,0 +1,225 @@
+//! What the modes of a group leave out, marginalised by the step that single images have
+//! ([`crate::modal::left_out`]): modes and illumination are of all images, and so are the errors of
+//! the camera where all channels have one scale and wavelength; otherwise each channel has its own.
+
+use crate::Result;
+use crate::modal::assess::fisher::null_floor;
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::joint::JointEstimate;
+use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::fitter::ModalFitter;
+use crate::modal::group::Normal;
+use crate::modal::group::consistency::{Consistency, consistency};
+use crate::modal::group::fit::{Group, Trial};
+use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, last_zernike, priors};
+use crate::scene::System;
+use ndarray::{Array1, Array2, ArrayView1, s};
+
+/// Relative change of the images' inflation up to which another step would find the same.
+const SAME: f64 = 0.05;
+
+/// The modes of a group with what they leave out.
+pub(super) struct GroupPosterior {
+    pub(super) left_out: WithLeftOut,
+    pub(super) consistency: Consistency,
+    /// Change of the amplitude of the diversities and its error bar, relative; `None` where it is
+    /// known.
+    amplitude: Option<[f64; 2]>,
+}
+
+/// Where the unknowns of one image are among those of all.
+struct Place {
+    /// Of each that it shares with others.
+    shared: Vec<usize>,
+    /// The first of its own tip and tilt; `None` for the first image.
+    tilts: Option<usize>,
+}
+
+impl GroupPosterior {
+    /// Marginalises what the modes leave out of the fit `best` of `group`, whose channels have
+    /// `fitters` with the diversities that were found, and names.
+    ///
+    /// # Errors
+    /// Those of [`LeftOut::new`] and [`Step::new`].
+    pub(super) fn new(
+        scene: &System,
+        (group, best, normal): (&Group, &Trial, &Normal),
+        fitters: &[ModalFitter],
+        names: &[String],
+    ) -> Result<Self> {
+        let fitter = &fitters[0];
+        let (modes, fitted) = (fitter.model.optics.modes(), group.unknowns.count());
+        // In nm of the diversity before it had the amplitude that was found.
+        let unit_nm = group.unknowns.amplitude().map(|place| group.amplitude_unit_nm() + best.point[place]);
+        let last = last_zernike([fitter.recipe.exact_zernikes, fitter.recipe.prior_zernikes]);
+        let each = fitters.iter().map(|fitter| LeftOut::new(&fitter.model, last, &scene.tolerance, unit_nm));
+        let each = each.collect::<Result<Vec<LeftOut>>>()?;
+        let left_out = &each[0];
+        let camera = |fitter: &ModalFitter| {
+            let image = &fitter.scene.image;
+            (image.wavelength_nm, image.samples_per_lambda_over_d)
+        };
+        let has_one_camera = fitters.iter().all(|other| camera(other) == camera(fitter));
+        let cameras = if has_one_camera { &[String::new()][..] } else { names };
+        let (shared, own) = (group.unknowns.shared(), left_out.of_camera());
+        let all = fitted + own.start - shared + own.len() * cameras.len();
+        let place = |image: usize, channel: usize| {
+            let camera = if has_one_camera { 0 } else { channel };
+            let behind = |unknown: usize| {
+                let of_camera = if unknown < own.start { 0 } else { camera * own.len() };
+                if unknown < shared { unknown } else { fitted + unknown - shared + of_camera }
+            };
+            Place { shared: (0..own.end).map(behind).collect(), tilts: group.unknowns.first_tilt(image) }
+        };
+        let tilts = group.unknowns.tilts();
+        let (mut information, mut score) = (Array2::zeros((all, all)), Array1::zeros(all));
+        // Of each image: its place, its score, and what it knows of its modes and of what they
+        // leave out.
+        let mut images = Vec::new();
+        for (channel, (fitter, left_out)) in fitters.iter().zip(&each).enumerate() {
+            let members = group.members.iter().enumerate().zip(&best.minima);
+            let own: Vec<_> = members.filter(|((_, member), _)| member.place[0] == channel).collect();
+            if own.is_empty() {
+                continue;
+            }
+            let frames: Vec<_> = own.iter().map(|((_, member), minimum)| (&member.image, *minimum)).collect();
+            let found = left_out.normal_equations(&fitter.model, &frames)?;
+            for (((image, _), minimum), own_score) in own.into_iter().zip(found.images) {
+                let place = place(image, channel);
+                let known = &found.information * minimum.chi2.square_snr;
+                place.add(&known, &own_score, &tilts, (&mut information, &mut score));
+                images.push((image, place, own_score, known));
+            }
+        }
+        let mut at = Array1::from(best.point.clone());
+        let mut at_modes = best.point[..modes].to_vec();
+        fitter.motions.remove(&mut at_modes);
+        at.slice_mut(s![..modes]).assign(&ArrayView1::from(&at_modes));
+        let groups = left_out.groups_of(cameras);
+        let floor = null_floor(all, group.pixels());
+        let precision = group.precision(&best.prior, left_out.tilts());
+        let (mut inflation, chi2) = (1.0, best.chi2());
+        let freedom = chi2 / best.reduced_chi2();
+        for pass in 0.. {
+            let equations = Equations {
+                information: &(&information / inflation),
+                score: &(&score / inflation),
+                fitted: &at,
+                tilts: left_out.tilts(),
+                precision: Some(precision.clone()),
+                floor,
+            };
+            let step = Step::new(&equations, &priors(&groups))?;
+            let behind = step.with_prior_change.slice(s![left_out.tilts().len()..]);
+            let change = |place: &Place| -> Array1<f64> {
+                let all = |&unknown: &usize| {
+                    if unknown < fitted { step.change[unknown] } else { behind[unknown - fitted] }
+                };
+                let mut own: Array1<f64> = place.shared.iter().map(all).collect();
+                for (axis, tilt) in tilts.outer_iter().enumerate() {
+                    let own_nm = place.tilts.map_or(0.0, |first| step.change[first + axis]);
+                    own.slice_mut(s![..shared]).scaled_add(own_nm, &tilt);
+                }
+                own
+            };
+            // What is left of the score of each image, by its modes, and χ² that is explained.
+            images.sort_by_key(|(image, ..)| *image);
+            let (mut scores, mut explained_chi2) = (Vec::new(), Vec::new());
+            for (_, place, score, known) in &images {
+                let (own, left) = (change(place), s![..shared, shared..]);
+                scores.push(&score.slice(s![..shared]) - &known.slice(left).dot(&own.slice(s![shared..])));
+                explained_chi2.push(own.dot(&(score * 2.0 - known.dot(&own))));
+            }
+            let scale = ((chi2 - explained_chi2.iter().sum::<f64>()) / freedom).max(1.0);
+            let consistency = consistency(group, &normal.each, scores, scale)?;
+            let before = inflation;
+            inflation = scale * consistency.of_all.0.max(1.0);
+            if pass == 0 && inflation > before * (1.0 + SAME) {
+                continue;
+            }
+            let own = |all: &Array2<f64>| fitter.motions.removed_from(&all.slice(s![..modes, ..modes]).to_owned());
+            let (noise_nm2, added_nm2) = (own(&step.noise), own(&step.added));
+            let amplitude = group.unknowns.amplitude().map(|place| {
+                let variance = step.noise[[place, place]] + step.added[[place, place]];
+                [step.change[place], variance.sqrt()].map(|nm| nm / group.amplitude_unit_nm())
+            });
+            let mut coefficients_nm = (&at + &step.change).slice(s![..modes]).to_vec();
+            fitter.motions.remove(&mut coefficients_nm);
+            let combined = CombinedModes { coefficients_nm, covariance_nm2: noise_nm2 + &added_nm2 };
+            let left_out = WithLeftOut::new(&fitter.model, &groups, &step.found, 1.0, (combined, added_nm2));
+            return Ok(Self { left_out: WithLeftOut { explained_chi2, ..left_out }, consistency, amplitude });
+        }
+        unreachable!("the second step is the last")
+    }
+
+    /// Puts what was found in place of that of the fit.
+    pub(super) fn apply(&self, joint: &mut JointEstimate, fitter: &ModalFitter) {
+        joint.modes = self.left_out.modes.clone();
+        joint.maps = StaticMaps::of_modes(&fitter.model, &joint.modes);
+        joint.sigma_maps = StaticMaps::of_error_bars(&fitter.model, &joint.modes);
+        joint.disagreement = self.consistency.of_all;
+        joint.left_out = Some(self.left_out.clone());
+        if let (Some(fitted), Some([change, sigma])) = (&mut joint.defocus, self.amplitude) {
+            fitted.value += fitted.scene * change;
+            fitted.sigma = fitted.scene.abs() * sigma;
+        }
+    }
+}
+
+impl Place {
+    /// Adds the normal equations of this image to those of all.
+    fn add(
+        &self,
+        information: &Array2<f64>,
+        score: &Array1<f64>,
+        tilts: &Array2<f64>,
+        (all, all_score): (&mut Array2<f64>, &mut Array1<f64>),
+    ) {
+        for (&to, (row, slope)) in self.shared.iter().zip(information.outer_iter().zip(score)) {
+            all_score[to] += slope;
+            for (&other, value) in self.shared.iter().zip(row) {
+                all[[to, other]] += value;
+            }
+        }
+        let Some(first) = self.tilts else { return };
+        let modes = tilts.ncols();
+        // Rows of the own tips and tilts, by the shared unknowns.
+        let along = tilts.dot(&information.slice(s![..modes, ..]));
+        let own = along.slice(s![.., ..modes]).dot(&tilts.t());
+        let slopes = tilts.dot(&score.slice(s![..modes]));
+        for (axis, row) in along.outer_iter().enumerate() {
+            all_score[first + axis] += slopes[axis];
+            for (&to, value) in self.shared.iter().zip(row) {
+                all[[first + axis, to]] += value;
+                all[[to, first + axis]] += value;
+            }
+            for (other, value) in own.row(axis).iter().enumerate() {
+                all[[first + axis, first + other]] += value;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    /// Two modes and one that is left out, which come first and last among six unknowns, and a tip
+    /// of the image's own.
+    #[test]
+    fn equations_of_an_image_are_those_of_its_unknowns_among_all() {
+        let tilts = array![[0.5, -2.0]];
+        let place = Place { shared: vec![0, 1, 5], tilts: Some(3) };
+        let known = array![[2.0, 0.3, 0.1], [0.3, 1.0, -0.2], [0.1, -0.2, 3.0]];
+        let score = array![1.0, -0.5, 0.25];
+        let (mut all, mut all_score) = (Array2::zeros((6, 6)), Array1::zeros(6));
+        place.add(&known, &score, &tilts, (&mut all, &mut all_score));
+        // Coefficients of the image by all unknowns.
+        let design =
+            array![[1.0, 0.0, 0.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]];
+        let expected = design.t().dot(&known.dot(&design));
+        assert!((&all - &expected).iter().all(|off| off.abs() < 1e-14), "{all} {expected}");
+        assert!((&all_score - &design.t().dot(&score)).iter().all(|off| off.abs() < 1e-14), "{all_score}");
+    }
+}
