@@ -233,7 +233,7 @@ impl<'a> Solution<'a> {
 
     /// What the modes leave out, where `fitters` have the diversities that were found.
     fn posterior(&self, scene: &System, fitters: &[ModalFitter], names: &[String]) -> Result<GroupPosterior> {
-        GroupPosterior::new(scene, (&self.group, &self.best, &self.normal), fitters, names)
+        GroupPosterior::new(scene, (&self.group, &self.best, &self.normal.each), fitters, names)
     }
 
     /// The joint estimate, where `fitters` have the diversities that were found.

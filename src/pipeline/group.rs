@@ -88,8 +88,6 @@ impl Together {
 
     fn search(&self) -> Search {
         match self {
-            // Fits of single images find the minimum where the first one does not.
-            Self { may_be_alone: true, .. } => Search::First,
             Self { weak, .. } if weak.contains(&true) => Search::All,
             _ => Search::IfNeeded,
         }
@@ -172,22 +170,30 @@ pub(super) fn estimate(
     let near = is_near_known.then(|| alone.fit(None)).transpose()?;
     if !together.may_be_alone {
         let near = near.filter(|(_, near)| !near.is_contradictory());
-        return task.estimate(task.fit(near.as_ref())?);
+        return task.estimate(task.fit(near.as_ref(), together.search())?);
     }
     let near = match near {
         Some(near) => near,
         None => {
-            let found = task.fit(None)?;
-            if found.group.is_explained && !found.group.minima.is_suspicious {
+            let mut found = task.fit(None, Search::First)?;
+            let mut is_right = !found.group.minima.is_suspicious;
+            if !is_right && scene.estimate.posterior && found.group.is_explained {
+                // χ² that the step leaves of an error may be that of another minimum: other starts
+                // show which.
+                found = task.fit(None, Search::IfNeeded)?;
+                is_right = found.group.minima.in_best > 1;
+            }
+            if found.group.is_explained && is_right {
                 return task.estimate(found);
             }
             alone.fit(None)?
         }
     };
-    if near.1.is_contradictory() {
+    // What the modes leave out may explain why they differ.
+    if near.1.is_contradictory() && !scene.estimate.posterior {
         return alone.estimate(near);
     }
-    let found = task.fit(Some(&near))?;
+    let found = task.fit(Some(&near), Search::First)?;
     if found.group.is_explained { task.estimate(found) } else { alone.estimate(near) }
 }
 
@@ -213,7 +219,7 @@ struct GroupFit {
 
 impl GroupTask<'_> {
     /// Fits the images, near the wavefront of those that were fitted alone.
-    fn fit(&self, near: Option<&(Vec<Fitted>, JointEstimate)>) -> Result<GroupFit> {
+    fn fit(&self, near: Option<&(Vec<Fitted>, JointEstimate)>, search: Search) -> Result<GroupFit> {
         let began = Instant::now();
         let mut known = near.iter().flat_map(|(fits, _)| fits).peekable();
         let each = self.channels.iter().zip(&self.which).zip(&self.together.weak);
@@ -235,7 +241,7 @@ impl GroupTask<'_> {
         let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
         let model_seconds = began.elapsed().as_secs_f64();
         let near_nm = near.map(|(_, near)| near.modes.coefficients_nm.as_slice());
-        let mut group = modal::estimate_group(self.scene, members, near_nm, self.together.search(), self.control)?;
+        let mut group = modal::estimate_group(self.scene, members, near_nm, search, self.control)?;
         group.joint.integers = near.map(|(_, near)| near.integers.clone()).unwrap_or_default();
         self.control.check("the images were fitted, nothing was written")?;
         Ok(GroupFit { group, scenes, model_seconds })

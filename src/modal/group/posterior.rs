@@ -8,7 +8,6 @@ use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::JointEstimate;
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::fitter::ModalFitter;
-use crate::modal::group::Normal;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
 use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, last_zernike, priors};
@@ -36,14 +35,15 @@ struct Place {
 }
 
 impl GroupPosterior {
-    /// Marginalises what the modes leave out of the fit `best` of `group`, whose channels have
+    /// Marginalises what the modes leave out of the fit `best` of `group`, whose images have the
+    /// Gauss-Newton matrices `information_of_each` by their modes, and whose channels have
     /// `fitters` with the diversities that were found, and names.
     ///
     /// # Errors
     /// Those of [`LeftOut::new`] and [`Step::new`].
     pub(super) fn new(
         scene: &System,
-        (group, best, normal): (&Group, &Trial, &Normal),
+        (group, best, information_of_each): (&Group, &Trial, &[Array2<f64>]),
         fitters: &[ModalFitter],
         names: &[String],
     ) -> Result<Self> {
@@ -131,7 +131,7 @@ impl GroupPosterior {
                 explained_chi2.push(own.dot(&(score * 2.0 - known.dot(&own))));
             }
             let scale = ((chi2 - explained_chi2.iter().sum::<f64>()) / freedom).max(1.0);
-            let consistency = consistency(group, &normal.each, scores, scale)?;
+            let consistency = consistency(group, information_of_each, scores, scale)?;
             let before = inflation;
             inflation = scale * consistency.of_all.0.max(1.0);
             if pass == 0 && inflation > before * (1.0 + SAME) {

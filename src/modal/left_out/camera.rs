@@ -11,8 +11,8 @@
 //! | halo | h spread by an exponential, less h |
 //! | blur: all round; along x, less along y; along the diagonals | ½ (h_uu + h_vv); ½ (h_uu − h_vv); h_uv |
 //!
-//! A Gaussian blur with variances s ± d along x and y and the covariance c, pixels², adds s, d and c
-//! times the last three to first order.
+//! A Gaussian blur with variances s ± d along x and y and the covariance c, pixels², adds s, d and
+//! c times the last three to first order.
 //!
 //! Halves and quadrants are about the star: an amplifier whose border is elsewhere has a share of
 //! each.
