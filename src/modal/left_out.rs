@@ -35,7 +35,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 pub(in crate::modal) use groups::{Group, priors};
-pub(crate) use result::{LeftOutError, LeftOutTerm, WithLeftOut};
+pub use result::ModelError;
+pub(crate) use result::{LeftOutTerm, WithLeftOut};
 pub(in crate::modal) use step::{Equations, Step};
 
 /// Last Zernike, in Noll's order, that is marginalised where the fit ends before it.

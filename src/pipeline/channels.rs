@@ -261,6 +261,7 @@ pub(super) fn combined(
         figures: Figures::new(&first.pupil, &found.maps, sigma_nm)?,
         pupil: first.pupil.clone(),
         error_budget,
+        model_errors: found.left_out.as_ref().map(|left_out| left_out.errors.clone()).unwrap_or_default(),
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
         status: *Status::worst(each.iter().map(|one| &one.status)),

@@ -6,7 +6,7 @@ use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
 use crate::imaging::Precision;
 use crate::loop_response::{Corrections, SegmentLimits};
-use crate::modal::{CombinedModes, FittedImage, ModalFitter, PistonInteger, StaticMaps, Status};
+use crate::modal::{CombinedModes, FittedImage, ModalFitter, ModelError, PistonInteger, StaticMaps, Status};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Scene};
@@ -41,6 +41,9 @@ pub struct Estimate {
     pub figures: Figures,
     /// Contributions to the error bars of phasing and NCPA.
     pub error_budget: Vec<ErrorTerm>,
+    /// Errors of the optics and the camera that the error bars hold; none without
+    /// `estimate.posterior`.
+    pub model_errors: Vec<ModelError>,
     /// Outcome of each image, in order.
     pub images: Vec<ImageOutcome>,
     /// Names of the channels whose images it is from, in order; none for a scene with one way of

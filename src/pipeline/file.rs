@@ -1,7 +1,7 @@
 //! Estimate file: FITS, in the layout of the conventions.
 
 use super::estimate::{Estimate, FullPhaseSummary, OpticalParameter};
-use super::{ErrorTerm, ImageOutcome};
+use super::{ErrorTerm, ImageOutcome, ModelError};
 use crate::Result;
 use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
 use crate::modes::SegmentModes;
@@ -27,6 +27,7 @@ fn write(path: &Path, estimate: &Estimate) -> Result<()> {
     segments(&mut file, estimate)?;
     images(&mut file, estimate)?;
     error_budget(&mut file, &estimate.error_budget)?;
+    model_errors(&mut file, &estimate.model_errors)?;
     optics(&mut file, &estimate.optics)?;
     if let Some(map) = estimate.full_phase() {
         iterations(&mut file, map)?;
@@ -146,6 +147,21 @@ fn error_budget(file: &mut FitsWriter, terms: &[ErrorTerm]) -> Result<()> {
         Column::f64("NCPA_NM", "nm", terms.iter().map(|term| term.ncpa_nm).collect()),
     ];
     file.table("ERROR_BUDGET", &columns)
+}
+
+fn model_errors(file: &mut FitsWriter, errors: &[ModelError]) -> Result<()> {
+    if errors.is_empty() {
+        return Ok(());
+    }
+    let reals = |value: &dyn Fn(&ModelError) -> f64| errors.iter().map(value).collect::<Vec<f64>>();
+    let columns = [
+        Column::text("NAME", errors.iter().map(|error| error.name.as_str())),
+        Column::f64("VALUE", "", reals(&|error| error.value)),
+        Column::f64("SIGMA", "", reals(&|error| error.sigma)),
+        Column::f64("TOLERANCE", "", reals(&|error| error.tolerance)),
+        Column::f64("SIGNIFICANCE", "", reals(&|error| error.significance)),
+    ];
+    file.table("MODEL_ERRORS", &columns)
 }
 
 fn optics(file: &mut FitsWriter, optics: &[OpticalParameter]) -> Result<()> {

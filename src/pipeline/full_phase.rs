@@ -174,6 +174,7 @@ pub(super) fn estimate(
         maps: last.maps.clone(),
         sigma_maps: last.sigma_maps.clone(),
         error_budget: last.error_budget.terms.iter().filter(contributes).cloned().collect(),
+        model_errors: Vec::new(),
         images: outcomes,
         reduced_chi2: last.reduced_chi2,
         is_sequence: true,

@@ -52,7 +52,7 @@ mod warnings;
 
 pub use crate::control::{Control, Progress, Stage};
 pub use crate::loop_response::{Command, Commands, Corrections, ModeCorrection, SentCorrections};
-pub use crate::modal::{CombinedModes, PistonInteger, StaticMaps};
+pub use crate::modal::{CombinedModes, ModelError, PistonInteger, StaticMaps};
 pub use crate::scene::{Optic, Setting};
 pub use crate::statics::{ErrorBudget, ErrorTerm, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};

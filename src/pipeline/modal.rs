@@ -46,6 +46,7 @@ impl Fitted {
             basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
             figures: Figures::new(&pupil, &found.combined.maps, sigma_nm)?,
             error_budget: error_budget(&errors, &fitter, &found)?,
+            model_errors: found.left_out().map(|left_out| left_out.errors.clone()).unwrap_or_default(),
             images: outcomes.collect(),
             channels: Vec::new(),
             status: found.status_of_all(),

@@ -6,7 +6,7 @@ use super::images::counted;
 use super::outcome::ImageOutcome;
 use super::sequence::SequenceResult;
 use crate::modal::{
-    self, Agreement, DiversityProjection, ImageReport, LeftOutError, Model, PistonInteger, RejectedPixels, Session,
+    self, Agreement, DiversityProjection, ImageReport, Model, ModelError, PistonInteger, RejectedPixels, Session,
     Status, Verdict, WithLeftOut,
 };
 use crate::scene::AoKnowledge;
@@ -105,8 +105,8 @@ pub(super) fn modal_warnings(
 
 /// Warnings on errors of the optics and the camera that the images show.
 pub(super) fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
-    let sentence = |error: &LeftOutError| {
-        let LeftOutError { name, value, sigma, tolerance, significance } = error;
+    let sentence = |error: &ModelError| {
+        let ModelError { name, value, sigma, tolerance, significance } = error;
         format!(
             "these images show an error that the scene does not have: {name} is off by {value:.2e} ± {sigma:.0e} ({:.0} standard deviations; up \
              to {tolerance:.0e} is expected): correct it in the scene, or in the reduction",

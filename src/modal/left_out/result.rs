@@ -31,7 +31,7 @@ pub(crate) struct WithLeftOut {
     /// How large each group is.
     pub(crate) terms: Vec<LeftOutTerm>,
     /// Errors of the optics and the camera.
-    pub(crate) errors: Vec<LeftOutError>,
+    pub(crate) errors: Vec<ModelError>,
     /// χ² of each image that what was left out explains.
     pub(crate) explained_chi2: Vec<f64>,
 }
@@ -39,10 +39,10 @@ pub(crate) struct WithLeftOut {
 impl WithLeftOut {
     /// Errors of the optics and the camera that the images show, and that are not small beside
     /// their tolerances.
-    pub(crate) fn shown_errors(&self) -> impl Iterator<Item = &LeftOutError> {
+    pub(crate) fn shown_errors(&self) -> impl Iterator<Item = &ModelError> {
         let most = self.errors.iter().map(|error| error.significance.abs()).fold(0.0, f64::max);
         let least = SIGNIFICANT.max(SECOND_ORDER * most);
-        let is_shown = move |error: &&LeftOutError| {
+        let is_shown = move |error: &&ModelError| {
             error.significance.abs() > least && error.value.abs() > REMARKABLE * error.tolerance
         };
         self.errors.iter().filter(is_shown)
@@ -92,18 +92,22 @@ impl WithLeftOut {
     }
 }
 
-/// An error of the optics or the camera that the scene takes to have none; relative, or rad.
+/// An error of the optics or the camera that the scene takes to have none, as the images show it
+/// within its tolerance.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct LeftOutError {
-    /// What is wrong, as the subject of a sentence.
-    pub(crate) name: String,
-    /// Its value, and the error bar of that.
-    pub(crate) value: f64,
-    pub(crate) sigma: f64,
-    /// Its standard deviation before the images.
-    pub(crate) tolerance: f64,
-    /// Value that the images say without the tolerance, over its error bar.
-    pub(crate) significance: f64,
+pub struct ModelError {
+    /// What is wrong, as the subject of a sentence, with the unit of the values where they are not
+    /// relative.
+    pub name: String,
+    /// Posterior mean.
+    pub value: f64,
+    /// Posterior standard deviation.
+    pub sigma: f64,
+    /// Standard deviation before the images (`[tolerance]`).
+    pub tolerance: f64,
+    /// Value by the images alone, over its error bar, with all other errors unknown within their
+    /// tolerances.
+    pub significance: f64,
 }
 
 /// Modes that were left out of the fit, and how large the images say they are.
@@ -119,12 +123,12 @@ pub(crate) struct LeftOutTerm {
 impl Group {
     /// The error that this group is of, whose prior standard deviation is `tolerance`. Variances
     /// are `scale` times those of the noise.
-    fn error(&self, tolerance: f64, found: &Posterior, scale: f64) -> LeftOutError {
+    fn error(&self, tolerance: f64, found: &Posterior, scale: f64) -> ModelError {
         let place = self.columns.start;
         let (value, variance) = (found.coefficients_nm[place], found.covariance_nm2[[place, place]]);
         // Without the prior of variance 1: 1/variance = 1/own + 1, value/variance = seen/own.
         let own = variance / (1.0 - variance).max(f64::EPSILON);
-        LeftOutError {
+        ModelError {
             name: self.name.clone(),
             value: value * tolerance,
             sigma: (variance * scale).sqrt() * tolerance,

@@ -46,8 +46,9 @@ status is contradictory.
 phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi2, evaluations (of the objective, all \
 images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
 unusable; contradictory where the images are of several wavefronts), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
-iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts); null \
-where a key does not apply.";
+iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts), \
+error_budget (name, phasing_nm and ncpa_nm of each term), model_errors (with estimate.posterior: name, value, sigma, tolerance and \
+significance of each error of the optics and the camera); null where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]

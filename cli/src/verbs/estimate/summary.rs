@@ -1,6 +1,6 @@
 //! The figures of `cophase estimate --json`.
 
-use cophase::pipeline::Estimate;
+use cophase::pipeline::{ErrorTerm, Estimate, ModelError};
 use serde::Serialize;
 
 /// What `estimate --json` prints; scripts rely on these keys.
@@ -31,6 +31,37 @@ pub(super) struct Summary<'a> {
     iterations: Option<usize>,
     telemetry_gain: Option<f64>,
     telemetry_correlation: Option<f64>,
+    error_budget: Vec<BudgetTerm<'a>>,
+    model_errors: Vec<ErrorOfModel<'a>>,
+}
+
+#[derive(Serialize)]
+struct BudgetTerm<'a> {
+    name: &'a str,
+    phasing_nm: f64,
+    ncpa_nm: f64,
+}
+
+#[derive(Serialize)]
+struct ErrorOfModel<'a> {
+    name: &'a str,
+    value: f64,
+    sigma: f64,
+    tolerance: f64,
+    significance: f64,
+}
+
+impl<'a> From<&'a ErrorTerm> for BudgetTerm<'a> {
+    fn from(term: &'a ErrorTerm) -> Self {
+        Self { name: &term.name, phasing_nm: term.phasing_nm, ncpa_nm: term.ncpa_nm }
+    }
+}
+
+impl<'a> From<&'a ModelError> for ErrorOfModel<'a> {
+    fn from(error: &'a ModelError) -> Self {
+        let ModelError { value, sigma, tolerance, significance, .. } = *error;
+        Self { name: &error.name, value, sigma, tolerance, significance }
+    }
 }
 
 impl<'a> Summary<'a> {
@@ -64,6 +95,8 @@ impl<'a> Summary<'a> {
             iterations: map.map(|map| map.iterations.len()),
             telemetry_gain: telemetry.map(|check| check.gain),
             telemetry_correlation: telemetry.map(|check| check.correlation),
+            error_budget: estimate.error_budget.iter().map(BudgetTerm::from).collect(),
+            model_errors: estimate.model_errors.iter().map(ErrorOfModel::from).collect(),
         }
     }
 }
