@@ -228,8 +228,8 @@ impl Sections {
         Ok(())
     }
 
-    /// Leaves what the modes leave out to whoever combines several of these systems: neither
-    /// `estimate.posterior` nor a tolerance that would then have no effect.
+    /// Unsets `estimate.posterior`, and with it the tolerances, which then have no effect: for one
+    /// channel of several, whose estimate has what the modes of all leave out.
     pub(crate) fn leave_out_posterior(&mut self) {
         if let Ok(usual) = ToleranceScene::usual() {
             (self.estimate.posterior, self.tolerance) = (false, usual);
