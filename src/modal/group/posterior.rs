@@ -34,6 +34,97 @@ struct Place {
     tilts: Option<usize>,
 }
 
+/// Normal equations of a group, by the unknowns of its fit and by what that left out.
+struct GroupEquations {
+    information: Array2<f64>,
+    score: Array1<f64>,
+    /// In the order of the group.
+    images: Vec<ImageEquations>,
+}
+
+/// Normal equations of an image by its own unknowns: the modes of all images first.
+struct ImageEquations {
+    image: usize,
+    place: Place,
+    score: Array1<f64>,
+    information: Array2<f64>,
+}
+
+impl GroupEquations {
+    /// Those at `best`, where the channels leave out `each`, and have one camera or one each.
+    ///
+    /// # Errors
+    /// Those of [`LeftOut::normal_equations`].
+    fn new(
+        (group, best): (&Group, &Trial),
+        fitters: &[ModalFitter],
+        each: &[LeftOut],
+        has_one_camera: bool,
+    ) -> Result<Self> {
+        let (fitted, shared, own) = (group.unknowns.count(), group.unknowns.shared(), each[0].of_camera());
+        let cameras = if has_one_camera { 1 } else { each.len() };
+        let all = fitted + own.start - shared + own.len() * cameras;
+        let place = |image: usize, channel: usize| {
+            let camera = if has_one_camera { 0 } else { channel };
+            let behind = |unknown: usize| {
+                let of_camera = if unknown < own.start { 0 } else { camera * own.len() };
+                if unknown < shared { unknown } else { fitted + unknown - shared + of_camera }
+            };
+            Place { shared: (0..own.end).map(behind).collect(), tilts: group.unknowns.first_tilt(image) }
+        };
+        let tilts = group.unknowns.tilts();
+        let (mut information, mut score) = (Array2::zeros((all, all)), Array1::zeros(all));
+        let mut images = Vec::new();
+        for (channel, (fitter, left_out)) in fitters.iter().zip(each).enumerate() {
+            let members = group.members.iter().enumerate().zip(&best.minima);
+            let own: Vec<_> = members.filter(|((_, member), _)| member.place[0] == channel).collect();
+            if own.is_empty() {
+                continue;
+            }
+            let frames: Vec<_> = own.iter().map(|((_, member), minimum)| (&member.image, *minimum)).collect();
+            let found = left_out.normal_equations(&fitter.model, &frames)?;
+            for (((image, _), minimum), own_score) in own.into_iter().zip(found.images) {
+                let own = ImageEquations {
+                    image,
+                    place: place(image, channel),
+                    score: own_score,
+                    information: &found.information * minimum.chi2.square_snr,
+                };
+                own.place.add(&own.information, &own.score, &tilts, (&mut information, &mut score));
+                images.push(own);
+            }
+        }
+        images.sort_by_key(|own| own.image);
+        Ok(Self { information, score, images })
+    }
+
+    /// What of the score of each image, by the modes of `group`, what was left out does not
+    /// explain, and the χ² of each that `step` explains.
+    fn explained(&self, group: &Group, step: &Step, tilts_with_prior: usize) -> (Vec<Array1<f64>>, Vec<f64>) {
+        let (fitted, shared) = (group.unknowns.count(), group.unknowns.shared());
+        let tilts = group.unknowns.tilts();
+        let left_out = step.with_prior_change.slice(s![tilts_with_prior..]);
+        let change = |place: &Place| -> Array1<f64> {
+            let of = |&unknown: &usize| match unknown.checked_sub(fitted) {
+                None => step.change[unknown],
+                Some(behind) => left_out[behind],
+            };
+            let mut own: Array1<f64> = place.shared.iter().map(of).collect();
+            for (axis, tilt) in tilts.outer_iter().enumerate() {
+                let own_nm = place.tilts.map_or(0.0, |first| step.change[first + axis]);
+                own.slice_mut(s![..shared]).scaled_add(own_nm, &tilt);
+            }
+            own
+        };
+        let of_image = |own: &ImageEquations| {
+            let (change, left) = (change(&own.place), s![..shared, shared..]);
+            let score = &own.score.slice(s![..shared]) - &own.information.slice(left).dot(&change.slice(s![shared..]));
+            (score, change.dot(&(&own.score * 2.0 - own.information.dot(&change))))
+        };
+        self.images.iter().map(of_image).unzip()
+    }
+}
+
 impl GroupPosterior {
     /// Marginalises what the modes leave out of the fit `best` of `group`, whose images have the
     /// Gauss-Newton matrices `information_of_each` by their modes, and whose channels have
@@ -48,88 +139,37 @@ impl GroupPosterior {
         names: &[String],
     ) -> Result<Self> {
         let fitter = &fitters[0];
-        let (modes, fitted) = (fitter.model.optics.modes(), group.unknowns.count());
+        let modes = fitter.model.optics.modes();
         // In nm of the diversity before it had the amplitude that was found.
         let unit_nm = group.unknowns.amplitude().map(|place| group.amplitude_unit_nm() + best.point[place]);
         let last = last_zernike([fitter.recipe.exact_zernikes, fitter.recipe.prior_zernikes]);
         let each = fitters.iter().map(|fitter| LeftOut::new(&fitter.model, last, &scene.tolerance, unit_nm));
         let each = each.collect::<Result<Vec<LeftOut>>>()?;
-        let left_out = &each[0];
         let camera = |fitter: &ModalFitter| {
             let image = &fitter.scene.image;
             (image.wavelength_nm, image.samples_per_lambda_over_d)
         };
         let has_one_camera = fitters.iter().all(|other| camera(other) == camera(fitter));
+        let all = GroupEquations::new((group, best), fitters, &each, has_one_camera)?;
+        let left_out = &each[0];
         let cameras = if has_one_camera { &[String::new()][..] } else { names };
-        let (shared, own) = (group.unknowns.shared(), left_out.of_camera());
-        let all = fitted + own.start - shared + own.len() * cameras.len();
-        let place = |image: usize, channel: usize| {
-            let camera = if has_one_camera { 0 } else { channel };
-            let behind = |unknown: usize| {
-                let of_camera = if unknown < own.start { 0 } else { camera * own.len() };
-                if unknown < shared { unknown } else { fitted + unknown - shared + of_camera }
-            };
-            Place { shared: (0..own.end).map(behind).collect(), tilts: group.unknowns.first_tilt(image) }
-        };
-        let tilts = group.unknowns.tilts();
-        let (mut information, mut score) = (Array2::zeros((all, all)), Array1::zeros(all));
-        // Of each image: its place, its score, and what it knows of its modes and of what they
-        // leave out.
-        let mut images = Vec::new();
-        for (channel, (fitter, left_out)) in fitters.iter().zip(&each).enumerate() {
-            let members = group.members.iter().enumerate().zip(&best.minima);
-            let own: Vec<_> = members.filter(|((_, member), _)| member.place[0] == channel).collect();
-            if own.is_empty() {
-                continue;
-            }
-            let frames: Vec<_> = own.iter().map(|((_, member), minimum)| (&member.image, *minimum)).collect();
-            let found = left_out.normal_equations(&fitter.model, &frames)?;
-            for (((image, _), minimum), own_score) in own.into_iter().zip(found.images) {
-                let place = place(image, channel);
-                let known = &found.information * minimum.chi2.square_snr;
-                place.add(&known, &own_score, &tilts, (&mut information, &mut score));
-                images.push((image, place, own_score, known));
-            }
-        }
-        let mut at = Array1::from(best.point.clone());
-        let mut at_modes = best.point[..modes].to_vec();
+        let groups = left_out.groups_of(cameras);
+        let (mut at, mut at_modes) = (Array1::from(best.point.clone()), best.point[..modes].to_vec());
         fitter.motions.remove(&mut at_modes);
         at.slice_mut(s![..modes]).assign(&ArrayView1::from(&at_modes));
-        let groups = left_out.groups_of(cameras);
-        let floor = null_floor(all, group.pixels());
-        let precision = group.precision(&best.prior, left_out.tilts());
         let (mut inflation, chi2) = (1.0, best.chi2());
         let freedom = chi2 / best.reduced_chi2();
         for pass in 0.. {
             let equations = Equations {
-                information: &(&information / inflation),
-                score: &(&score / inflation),
+                information: &(&all.information / inflation),
+                score: &(&all.score / inflation),
                 fitted: &at,
                 tilts: left_out.tilts(),
-                precision: Some(precision.clone()),
-                floor,
+                precision: Some(group.precision(&best.prior, left_out.tilts())),
+                floor: null_floor(all.score.len(), group.pixels()),
             };
             let step = Step::new(&equations, &priors(&groups))?;
-            let behind = step.with_prior_change.slice(s![left_out.tilts().len()..]);
-            let change = |place: &Place| -> Array1<f64> {
-                let all = |&unknown: &usize| {
-                    if unknown < fitted { step.change[unknown] } else { behind[unknown - fitted] }
-                };
-                let mut own: Array1<f64> = place.shared.iter().map(all).collect();
-                for (axis, tilt) in tilts.outer_iter().enumerate() {
-                    let own_nm = place.tilts.map_or(0.0, |first| step.change[first + axis]);
-                    own.slice_mut(s![..shared]).scaled_add(own_nm, &tilt);
-                }
-                own
-            };
-            // What is left of the score of each image, by its modes, and χ² that is explained.
-            images.sort_by_key(|(image, ..)| *image);
-            let (mut scores, mut explained_chi2) = (Vec::new(), Vec::new());
-            for (_, place, score, known) in &images {
-                let (own, left) = (change(place), s![..shared, shared..]);
-                scores.push(&score.slice(s![..shared]) - &known.slice(left).dot(&own.slice(s![shared..])));
-                explained_chi2.push(own.dot(&(score * 2.0 - known.dot(&own))));
-            }
+            let (scores, explained_chi2) = all.explained(group, &step, left_out.tilts().len());
             let scale = ((chi2 - explained_chi2.iter().sum::<f64>()) / freedom).max(1.0);
             let consistency = consistency(group, information_of_each, scores, scale)?;
             let before = inflation;
