@@ -220,7 +220,10 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
             chi2.value -= explained / chi2.freedom;
         }
         for (&image, report) in indices.iter().zip(assess_all(fitter, prepared, minima)) {
-            images[image] = report;
+            // In a wrong minimum what was left out explains a part of χ², in a right one all of it.
+            let is_explained = report.reduced_chi2 <= report.suspicious_chi2;
+            let status = if is_explained { report.status } else { images[image].status };
+            images[image] = ImageReport { status, ..report };
         }
         left_out = Some(found);
     }

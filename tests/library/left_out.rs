@@ -100,6 +100,20 @@ fn error_bars_without_anything_left_out_stay_near_noise() {
     assert!(with.is_sound() && pulls(&with).iter().all(|pull| *pull < 1.5), "{:?} {:?}", pulls(&with), with.warnings);
 }
 
+/// What was left out explains half of what χ² of a wrong minimum, 1.11, is above 1.
+#[test]
+fn a_wrong_minimum_is_no_less_a_misfit() {
+    let large = [("aberrations.segment_piston_rms_nm", "400"), ("aberrations.ncpa_rms_nm", "150")];
+    let found = estimate(&[("image.peak_snr", "30")], &large, true);
+    assert!(pulls(&found)[1] > 3.0, "{:?}", pulls(&found));
+    assert!(
+        found.status.word() == "misfit" && !found.warnings.is_empty(),
+        "{} {:?}",
+        found.status.word(),
+        found.warnings
+    );
+}
+
 #[test]
 fn tilts_that_are_fitted_have_the_prior_too() {
     let fitted = [("modes.segment", "piston-tip-tilt")];
