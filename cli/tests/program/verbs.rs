@@ -67,6 +67,8 @@ fn image_estimate_compare() {
         "telemetry_correlation",
         "phasing_residual_nm",
         "ncpa_residual_nm",
+        "error_budget",
+        "model_errors",
     ];
     promised.sort();
     assert_eq!(keys(&json), promised);
@@ -74,6 +76,9 @@ fn image_estimate_compare() {
     assert_eq!((&json["status"], &json["device"], &json["precision"]), (&"ok".into(), &"cpu".into(), &"f64".into()));
     // Some 4,000 pixels: χ² scatters by √(2/4000) = 0.02; the model's own error adds 0.08 here.
     assert!((number(&json, "reduced_chi2") - 1.0).abs() < 0.2, "{json}");
+    // One term, the noise, is the whole error bar.
+    assert_eq!(json["error_budget"][0]["phasing_nm"], json["phasing_sigma_nm"]);
+    assert!(json["error_budget"][0]["name"] == "noise" && json["model_errors"] == serde_json::json!([]), "{json}");
     // The phasing has what the scene says less the tilt that the figures take out.
     assert!((40.0..60.0).contains(&number(&json, "phasing_rms_nm")), "{json}");
     assert!((45.0..51.0).contains(&number(&json, "ncpa_rms_nm")), "{json}");
