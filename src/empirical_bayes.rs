@@ -15,8 +15,9 @@ use ndarray::{Array1, Array2, s};
 
 /// Most steps; where the data constrain the variances half a dozen suffice.
 const MAX_STEPS: usize = 40;
-/// Increase of the objective, to first order in a step, below which the search ends. The
-/// coefficients are then within some 1e-3 of their error bars, whatever the rounding of the data.
+/// Increase of the objective, to first order in a step, below which the search ends: coefficients
+/// are then within some 1e-3 of their error bars. Where 0.002 ended it, rounding decided on the
+/// last step, and moved them by a quarter of an error bar.
 const TOLERANCE: f64 = 1e-6;
 /// Longest step of the logarithm of a variance.
 const LONGEST_STEP: f64 = 2.0;
