@@ -71,6 +71,7 @@ fn errors_of_the_camera_are_held_and_named() {
 }
 
 #[test]
+#[ignore = "merge: 11 s"]
 fn tolerances_widen_error_bars_and_exact_ones_do_not() {
     let exact = [
         ("tolerance.pixel_scale_fraction", "0"),
@@ -102,6 +103,7 @@ fn error_bars_without_anything_left_out_stay_near_noise() {
 
 /// What was left out explains half of what χ² of a wrong minimum, 1.11, is above 1.
 #[test]
+#[ignore = "merge: 6 s"]
 fn a_wrong_minimum_is_no_less_a_misfit() {
     let large = [("aberrations.segment_piston_rms_nm", "400"), ("aberrations.ncpa_rms_nm", "150")];
     let found = estimate(&[("image.peak_snr", "30")], &large, true);
@@ -115,6 +117,7 @@ fn a_wrong_minimum_is_no_less_a_misfit() {
 }
 
 #[test]
+#[ignore = "merge: 6 s"]
 fn tilts_that_are_fitted_have_the_prior_too() {
     let fitted = [("modes.segment", "piston-tip-tilt")];
     let tilted = [("aberrations.segment_tip_tilt_rms_nm", "4")];
@@ -139,6 +142,7 @@ fn pair(settings: &[(&str, &str)], simulated: &[(&str, &str)], posterior: bool) 
 }
 
 #[test]
+#[ignore = "merge: 24 s"]
 fn channels_hold_tilts_that_are_not_fitted() {
     let tilted = [("aberrations.segment_tip_tilt_rms_nm", "4")];
     let without = pulls(&pair(&[], &tilted, false));
@@ -152,6 +156,7 @@ fn channels_hold_tilts_that_are_not_fitted() {
 /// Both channels have one camera, whose scale is a tenth of a per cent off; in a bright image it
 /// more than doubles χ², which the step explains.
 #[test]
+#[ignore = "merge: 29 s"]
 fn channels_name_an_error_of_their_camera() {
     for peak_snr in ["150", "500"] {
         let bright = [("image.peak_snr", peak_snr)];

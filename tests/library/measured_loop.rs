@@ -128,6 +128,7 @@ fn a_symmetry_that_the_subapertures_do_not_have_is_refused() {
 
 /// A loop about reference slopes of a focus, whose telemetry is relative to them.
 #[test]
+#[ignore = "merge: 8 s"]
 fn slopes_relative_to_reference_slopes_are_those_that_were_seen() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("reference.fits");

@@ -54,6 +54,7 @@ fn flipped_up_down(images: &Images) -> Images {
 }
 
 #[test]
+#[ignore = "merge: 15 s"]
 fn slopes_of_other_images_are_refused_with_the_cause() {
     let (scene, right) = (scene(&[]), images(4));
     let half = right.slopes_mas.as_ref().unwrap().ncols() / 2;
@@ -195,6 +196,7 @@ fn poked(scene: &Scene, segment: usize, nm: f64) -> [Images; 2] {
 }
 
 #[test]
+#[ignore = "merge: 77 s"]
 fn a_poke_shows_the_orientation() {
     let modal = scene(&[&MODAL[..], &[("image.rows", ""), ("image.pixels", "80")]].concat());
     let [before, after] = poked(&modal, 1, 150.0);

@@ -194,6 +194,7 @@ fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
 /// The segment that moved is named, and neither a flip nor a rotation with which the images are
 /// explained worse.
 #[test]
+#[ignore = "merge: 13 s"]
 fn a_wrong_segment_number_is_no_orientation() {
     let desk = Desk::with_scene();
     write_poke(&desk, 150.0, |_, y, x| (y, x));
@@ -208,6 +209,7 @@ fn a_wrong_segment_number_is_no_orientation() {
 }
 
 #[test]
+#[ignore = "merge: 14 s"]
 fn segments_are_addressed_by_their_labels() {
     let desk = Desk::with_scene();
     write_poke(&desk, 150.0, |_, y, x| (y, x));

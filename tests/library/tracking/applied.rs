@@ -166,6 +166,7 @@ fn the_newest_corrections_may_be_applied() {
 }
 
 #[test]
+#[ignore = "merge: 10 s"]
 fn unapplied_corrections_are_not_recognised() {
     // 20 nights at ten false ones a night that are accepted, of two corrections, each as a whole
     // and in parts: the bound is 200. Lorden's bound is not sharp; a few would show that the
