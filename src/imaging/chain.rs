@@ -375,7 +375,7 @@ pub(super) fn layout(optics: &Optics) -> GpuLayout {
     GpuLayout {
         samples: parts.sampling.samples,
         pixels: parts.sampling.pixels,
-        colours: optics.colours().iter().map(colour).collect(),
+        colours: optics.colours().iter().map(|own| colour(own)).collect(),
         pixel_terms: pixel_terms(optics),
         illuminated: indices(&parts.weights.illuminated),
         smooth: parts.basis.outer_iter().map(|row| row.to_vec()).collect(),

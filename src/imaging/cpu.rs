@@ -69,7 +69,7 @@ impl<T: Polynomial> CpuChain<T> {
     /// A chain with the transforms that `transform` constructs for the sampling of each wavelength.
     pub fn with_transforms(optics: Arc<Optics>, transform: impl Fn(Sampling) -> Transform<T>) -> Self {
         let stages = |optics: &Optics| Stages { field: Field::new(optics), transform: transform(optics.sampling()) };
-        let colours = optics.colours().iter().map(stages).collect();
+        let colours = optics.colours().iter().map(|colour| stages(colour)).collect();
         let pixels = Pixels::of(&optics);
         Self { optics, colours, pixels, images: Vec::new(), idle: Mutex::new(Vec::new()) }
     }

@@ -43,6 +43,18 @@ pub(super) enum Change {
     Mode(Mode),
     /// The logarithm of a segment's amplitude.
     Amplitude(usize),
+    /// The amount of a figure of one segment.
+    Figure(SegmentFigure),
+}
+
+/// A figure of a segment, nm: a x² + b y² + c x y + d of `[a, b, c, d]`, where x and y are its tip
+/// and its tilt of 1 nm. A segment may have one where its optics have tips and tilts.
+#[derive(Debug, Clone, Copy)]
+pub struct SegmentFigure {
+    /// The segment.
+    pub segment: usize,
+    /// `[a, b, c, d]`.
+    pub terms: [f64; 4],
 }
 
 impl Change {
@@ -50,9 +62,9 @@ impl Change {
     pub(super) fn segment(self) -> Option<usize> {
         match self {
             Self::Mode(Mode::Smooth(_)) => None,
-            Self::Mode(Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) | Self::Amplitude(segment) => {
-                Some(segment)
-            }
+            Self::Mode(Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment))
+            | Self::Amplitude(segment)
+            | Self::Figure(SegmentFigure { segment, .. }) => Some(segment),
         }
     }
 }
@@ -314,6 +326,7 @@ impl<T: Polynomial> Field<T> {
                 (Change::Mode(Mode::Tip(_)), Some([x, _])) => *x,
                 (Change::Mode(Mode::Tilt(_)), Some([_, y])) => *y,
                 (Change::Mode(Mode::Piston(_)), _) => [T::one(); BLOCK],
+                (Change::Figure(SegmentFigure { terms, .. }), Some([x, y])) => figure(terms, x, y),
                 _ => [T::zero(); BLOCK],
             };
             let (weight, [p_re, p_im]) = (&self.segment_blocks.weight[entry], &state.blocks[block].phasor);
@@ -321,7 +334,9 @@ impl<T: Polynomial> Field<T> {
             for i in 0..BLOCK {
                 let part = [weight[i] * q_re[i], weight[i] * q_im[i]];
                 [d_re[i], d_im[i]] = match change {
-                    Change::Mode(_) => along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm),
+                    Change::Mode(_) | Change::Figure(_) => {
+                        along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm)
+                    }
                     Change::Amplitude(_) => times([p_re[i], p_im[i]], part),
                 };
             }
@@ -334,6 +349,17 @@ impl<T: Polynomial> Field<T> {
             }
         }
     }
+}
+
+/// a x² + b y² + c x y + d.
+#[inline(always)]
+fn figure<T: Polynomial>(terms: [f64; 4], x: &Lanes<T>, y: &Lanes<T>) -> Lanes<T> {
+    let [a, b, c, d] = terms.map(T::narrow);
+    let mut values = [T::zero(); BLOCK];
+    for i in 0..BLOCK {
+        values[i] = a * x[i] * x[i] + b * y[i] * y[i] + c * x[i] * y[i] + d;
+    }
+    values
 }
 
 /// i·2π·slope·phasor·part: the derivative of a part of the field by a phase.

@@ -7,7 +7,8 @@
 //! thirtieth, and the cost of some rows is proportional to their number.
 
 use super::cpu::{CpuChain, vectorised};
-use super::field::{Change, Field, FieldState};
+use super::detector::LoadedImage;
+use super::field::{Change, Field, FieldState, SegmentFigure};
 use super::optics::Optics;
 use super::pixels::Pixels;
 use crate::fourier::{Sampling, Transform};
@@ -15,7 +16,9 @@ use cophase_numerics::product::{Matrix, MatrixMut};
 use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2};
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::ops::Range;
+use std::slice::from_ref;
 
 /// The model linearised at one point: see [`CpuChain::linearise`].
 pub struct LinearModel<'a> {
@@ -24,8 +27,13 @@ pub struct LinearModel<'a> {
     pixels: Option<Pixels<f64>>,
     psf: Vec<f64>,
     /// Rows and columns of the pupil that each segment covers.
-    boxes: Vec<[Range<usize>; 2]>,
+    boxes: Vec<PupilBox>,
+    /// Unknowns behind the modes: figures of one segment or of several.
+    figures: Vec<Vec<Change>>,
 }
+
+/// Rows and columns of the pupil.
+type PupilBox = [Range<usize>; 2];
 
 /// The model at one wavelength.
 struct ColourState<'a> {
@@ -43,7 +51,7 @@ struct ColourState<'a> {
 impl CpuChain<f64> {
     /// The model linearised at `coefficients_nm`.
     pub fn linearise(&self, coefficients_nm: ArrayView1<f64>) -> LinearModel<'_> {
-        let colour = |(optics, field): (Optics, _)| ColourState::at(coefficients_nm, field, optics.sampling());
+        let colour = |(optics, field): (Cow<Optics>, _)| ColourState::at(coefficients_nm, field, optics.sampling());
         let colours: Vec<ColourState> = self.optics().colours().into_iter().zip(self.fields()).map(colour).collect();
         let mut psf = vec![0.0; self.optics().sampling().pixels.pow(2)];
         colours.iter().for_each(|colour| colour.add_psf(&mut psf));
@@ -52,7 +60,7 @@ impl CpuChain<f64> {
             let mut work = vec![0.0; psf.len()];
             pixels.apply(&mut psf, &mut work);
         }
-        LinearModel { chain: self, colours, pixels, psf, boxes: boxes(self.optics()) }
+        LinearModel { chain: self, colours, pixels, psf, boxes: boxes(self.optics()), figures: Vec::new() }
     }
 }
 
@@ -90,6 +98,23 @@ impl NullaryFnOnce for Derivative<'_> {
     }
 }
 
+/// [`Field::adjoint`] in the widest vectors of this CPU.
+struct Adjoint<'a> {
+    field: &'a Field<f64>,
+    pupil_bar: &'a [f64],
+    state: &'a mut FieldState<f64>,
+    gradient: &'a mut [f64],
+}
+
+impl NullaryFnOnce for Adjoint<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.field.adjoint(self.pupil_bar, self.state, self.gradient);
+    }
+}
+
 impl<'a> ColourState<'a> {
     fn at(coefficients_nm: ArrayView1<f64>, field: &'a Field<f64>, sampling: Sampling) -> Self {
         let (n, m) = (sampling.samples, sampling.pixels);
@@ -112,8 +137,14 @@ impl<'a> ColourState<'a> {
         psf.iter_mut().zip(lines).for_each(|(psf, (re, im))| *psf += re * re + im * im);
     }
 
-    /// Adds the derivative of the intensity of some rows of pixels.
-    fn whole_pupil(&self, change: Change, rows: &Range<usize>, buffers: &mut ThreadBuffers, out: ArrayViewMut1<f64>) {
+    /// Adds the derivative of the intensity of some rows of pixels by several changes together.
+    fn whole_pupil(
+        &self,
+        changes: &[Change],
+        rows: &Range<usize>,
+        buffers: &mut ThreadBuffers,
+        out: ArrayViewMut1<f64>,
+    ) {
         let (n, m) = (self.samples, self.pixels);
         let FullPupilBuffers { pupil, focus, workspace } = buffers.whole.get_or_insert_with(|| FullPupilBuffers {
             pupil: vec![0.0; 2 * n * n],
@@ -121,7 +152,7 @@ impl<'a> ColourState<'a> {
             workspace: self.transform.workspace(),
         });
         pupil.fill(0.0);
-        self.derivative_of_field(change, pupil);
+        changes.iter().for_each(|change| self.derivative_of_field(*change, pupil));
         self.transform.forward(pupil, focus, workspace);
         self.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
     }
@@ -130,7 +161,7 @@ impl<'a> ColourState<'a> {
     fn patch(
         &self,
         change: Change,
-        [ys, xs]: &[Range<usize>; 2],
+        [ys, xs]: &PupilBox,
         rows: &Range<usize>,
         buffers: &mut ThreadBuffers,
         out: ArrayViewMut1<f64>,
@@ -162,6 +193,37 @@ impl<'a> ColourState<'a> {
         self.intensity(rows, &buffers.along_y[..2 * count * m], out);
     }
 
+    /// Adds the products of `slope`, an image, with the derivatives of the intensity by modes, and
+    /// by other changes in turn: with Ē the adjoint transform of slope·U they are 2 Re Σ Ē*·dE over
+    /// the pupil.
+    fn add_products<'c>(
+        &mut self,
+        slope: &[f64],
+        boxes: &[PupilBox],
+        modes: &mut [f64],
+        others: impl Iterator<Item = (&'c [Change], &'c mut f64)>,
+    ) {
+        let n = self.samples;
+        let mut focus = self.focus.clone();
+        LoadedImage::times_slope(slope, &mut focus, self.pixels);
+        let (mut pupil_bar, mut pupil) = (vec![0.0; 2 * n * n], vec![0.0; 2 * n * n]);
+        self.transform.adjoint(&focus, &mut pupil_bar, &mut self.transform.workspace());
+        for (changes, product) in others {
+            for (change, segment) in changes.iter().filter_map(|change| Some((*change, change.segment()?))) {
+                let [ys, xs] = &boxes[segment];
+                self.derivative_of_field(change, &mut pupil);
+                let lines = pupil.chunks_exact_mut(n).zip(pupil_bar.chunks_exact(n));
+                // Both planes of a row are lines.
+                for (along, bar) in lines.take(2 * ys.end).skip(2 * ys.start) {
+                    *product += 2.0 * xs.clone().map(|x| along[x] * bar[x]).sum::<f64>();
+                    along[xs.clone()].fill(0.0);
+                }
+            }
+        }
+        let Self { field, state, .. } = self;
+        vectorised(Adjoint { field, pupil_bar: &pupil_bar, state, gradient: modes });
+    }
+
     /// Adds d|U|² = 2 Re(U*·dU) of some rows.
     fn intensity(&self, rows: &Range<usize>, along: &[f64], mut out: ArrayViewMut1<f64>) {
         let m = self.pixels;
@@ -180,9 +242,17 @@ impl LinearModel<'_> {
         &self.psf
     }
 
-    /// Number of modes.
-    pub fn modes(&self) -> usize {
-        self.chain.optics().modes()
+    /// With `figures` of the segments as unknowns behind the modes, each of one segment or of
+    /// several.
+    pub fn with_figures(mut self, figures: &[Vec<SegmentFigure>]) -> Self {
+        let changes = |own: &Vec<SegmentFigure>| own.iter().map(|figure| Change::Figure(*figure)).collect();
+        self.figures = figures.iter().map(changes).collect();
+        self
+    }
+
+    /// Number of unknowns: modes, and figures behind them.
+    pub fn unknowns(&self) -> usize {
+        self.chain.optics().modes() + self.figures.len()
     }
 
     /// Pixels along a side.
@@ -190,36 +260,61 @@ impl LinearModel<'_> {
         self.chain.optics().sampling().pixels
     }
 
-    /// Writes the derivatives of some rows of pixels by every coefficient, per nm, into `out`:
-    /// `[mode, pixel]`, with the pixels of those rows in order.
+    /// Writes the derivatives of some rows of pixels by every unknown, per nm, into `out`:
+    /// `[unknown, pixel]`, with the pixels of those rows in order.
     ///
     /// # Panics
     /// If `out` has another shape.
     pub fn derivatives(&self, rows: Range<usize>, out: ArrayViewMut2<f64>) {
-        assert_eq!(out.dim(), (self.modes(), rows.len() * self.pixels()), "modes and pixels");
-        self.write(self.chain.optics().parts().modes.iter().map(|&mode| Change::Mode(mode)), rows, out);
+        assert_eq!(out.dim(), (self.unknowns(), rows.len() * self.pixels()), "unknowns and pixels");
+        let modes: Vec<Change> = self.chain.optics().parts().modes.iter().map(|&mode| Change::Mode(mode)).collect();
+        let changes = modes.iter().map(from_ref).chain(self.figures.iter().map(Vec::as_slice));
+        self.write(changes, rows, out);
     }
 
     /// The derivatives by the natural logarithm of the amplitude of each segment,
     /// `[segment, pixel]`.
     pub fn by_amplitudes(&self) -> Array2<f64> {
         let mut out = Array2::zeros((self.boxes.len(), self.pixels().pow(2)));
-        self.write((0..self.boxes.len()).map(Change::Amplitude), 0..self.pixels(), out.view_mut());
+        self.write(self.amplitudes().iter().map(from_ref), 0..self.pixels(), out.view_mut());
         out
     }
 
-    /// Writes the derivatives of some rows of pixels by `changes`.
-    fn write(&self, changes: impl Iterator<Item = Change>, rows: Range<usize>, mut out: ArrayViewMut2<f64>) {
+    fn amplitudes(&self) -> Vec<Change> {
+        (0..self.boxes.len()).map(Change::Amplitude).collect()
+    }
+
+    /// Products of `image`, m×m, with the derivatives by every unknown, per nm, and with those
+    /// [by the amplitudes](Self::by_amplitudes): without them, by one adjoint transform.
+    pub fn products(&mut self, image: &[f64]) -> [Vec<f64>; 2] {
+        let mut slope = image.to_vec();
+        if let Some(pixels) = &self.pixels {
+            // The convolution is its own adjoint.
+            pixels.apply(&mut slope, &mut vec![0.0; image.len()]);
+        }
+        let (changes, count) = (self.amplitudes(), self.chain.optics().modes());
+        let (mut unknowns, mut amplitudes) = (vec![0.0; self.unknowns()], vec![0.0; changes.len()]);
+        for colour in &mut self.colours {
+            let (modes, figures) = unknowns.split_at_mut(count);
+            let others = self.figures.iter().map(Vec::as_slice).zip(figures);
+            let others = others.chain(changes.iter().map(from_ref).zip(&mut amplitudes));
+            colour.add_products(&slope, &self.boxes, modes, others);
+        }
+        [unknowns, amplitudes]
+    }
+
+    /// Writes the derivatives of some rows of pixels by `changes`, of which each line has its own.
+    fn write<'c>(&self, changes: impl Iterator<Item = &'c [Change]>, rows: Range<usize>, mut out: ArrayViewMut2<f64>) {
         let lines: Vec<_> = out.outer_iter_mut().zip(changes).collect();
         lines.into_par_iter().for_each_init(
             || ThreadBuffers::new(self),
-            |buffers, (mut out, change)| match &self.pixels {
-                None => self.derivative(change, &rows, buffers, out),
+            |buffers, (mut out, changes)| match &self.pixels {
+                None => self.derivative(changes, &rows, buffers, out),
                 Some(pixels) => {
                     let needed = pixels.needed(&rows);
                     let mut points = std::mem::take(&mut buffers.points);
                     points.resize(needed.len() * self.pixels(), 0.0);
-                    self.derivative(change, &needed, buffers, ArrayViewMut1::from(&mut points[..]));
+                    self.derivative(changes, &needed, buffers, ArrayViewMut1::from(&mut points[..]));
                     let mut lines = out.exact_chunks_mut(self.pixels()).into_iter();
                     pixels.apply_to_rows(&mut points, &rows, &mut buffers.line, |line| {
                         lines.next().into_iter().for_each(|mut out| out.assign(&ArrayView1::from(line)));
@@ -233,16 +328,19 @@ impl LinearModel<'_> {
     /// Writes the derivative of the intensity at the centres of some rows of pixels into `out`.
     fn derivative(
         &self,
-        change: Change,
+        changes: &[Change],
         rows: &Range<usize>,
         buffers: &mut ThreadBuffers,
         mut out: ArrayViewMut1<f64>,
     ) {
         out.fill(0.0);
-        let small = change.segment().filter(|&segment| self.is_small(segment));
+        let small = match changes {
+            [only] => only.segment().filter(|&segment| self.is_small(segment)).map(|segment| (*only, segment)),
+            _ => None,
+        };
         self.colours.iter().for_each(|colour| match small {
-            Some(segment) => colour.patch(change, &self.boxes[segment], rows, buffers, out.view_mut()),
-            None => colour.whole_pupil(change, rows, buffers, out.view_mut()),
+            Some((change, segment)) => colour.patch(change, &self.boxes[segment], rows, buffers, out.view_mut()),
+            None => colour.whole_pupil(changes, rows, buffers, out.view_mut()),
         });
     }
 
@@ -309,7 +407,7 @@ impl Waves {
 }
 
 /// Rows and columns of the pupil that each segment covers.
-fn boxes(optics: &Optics) -> Vec<[Range<usize>; 2]> {
+fn boxes(optics: &Optics) -> Vec<PupilBox> {
     let (weights, n) = (&optics.parts().weights, optics.sampling().samples);
     let mut boxes = vec![[n..0, n..0]; weights.segments];
     for (cell, segments, _) in weights.rows() {
@@ -329,6 +427,7 @@ mod tests {
     use crate::fourier::PixelResponse;
     use crate::imaging::{Colour, Mode, OpticsParts};
     use crate::pupil::SegmentWeights;
+    use ndarray::Array1;
     use std::sync::Arc;
 
     /// Nine segments in a square of 27×27 samples of 30, each of which overlaps its neighbours by
@@ -390,7 +489,7 @@ mod tests {
             let chain = CpuChain::<f64>::new(optics(tilts, colours, pixel));
             let modes = chain.optics().modes();
             let at = ndarray::Array1::from_shape_fn(modes, |i| 60.0 * (i as f64 * 1.7).sin());
-            let linear = chain.linearise(at.view());
+            let mut linear = chain.linearise(at.view());
             assert!((0..9).all(|segment| linear.is_small(segment)), "the test needs segments with small boxes");
             let (psf, wanted) = chain.jacobian(at.view());
             let (m, peak) = (linear.pixels(), wanted.iter().fold(0.0f64, |m, v| m.max(v.abs())));
@@ -411,6 +510,20 @@ mod tests {
                 let pairs = with_factor(1.5).into_iter().zip(with_factor(0.5));
                 assert!(pairs.zip(found).all(|((more, less), found)| same(*found, more - less, brightest)), "{tilts}");
             }
+            let image: Vec<f64> = (0..m * m).map(|pixel| (0.7 * pixel as f64).cos()).collect();
+            let dotted = |columns: &Array2<f64>| columns.dot(&ArrayView1::from(&image)).to_vec();
+            let by_amplitudes = dotted(&linear.by_amplitudes());
+            // Sums over m² pixels of derivatives up to the largest.
+            for ((wanted, scale), found) in
+                [(dotted(&wanted), peak), (by_amplitudes, brightest)].iter().zip(linear.products(&image))
+            {
+                let pairs = found.iter().zip(wanted);
+                assert!(
+                    pairs.clone().all(|(a, b)| same(*a, *b, scale * (m * m) as f64)),
+                    "{tilts} {found:?} {wanted:?}"
+                );
+                assert_eq!(pairs.len(), found.len());
+            }
             for tile in [m, 5, 1] {
                 for first in (0..m).step_by(tile) {
                     let rows = first..m.min(first + tile);
@@ -420,6 +533,42 @@ mod tests {
                     assert!(found.iter().zip(wanted).all(|(a, b)| same(*a, *b, peak)), "{tilts} {rows:?}");
                 }
             }
+        }
+    }
+
+    /// A figure is a tip whose slopes are its shape, where no segment has a tip; that of two
+    /// segments is the sum of both.
+    #[test]
+    fn figures_of_segments_are_tips_of_their_shapes() {
+        let three = [(0.95, 0.3), (1.0, 0.4), (1.04, 0.3)].map(|(ratio, share)| Colour { ratio, share });
+        let chain = CpuChain::<f64>::new(optics(true, &three, [PixelResponse::POINT; 2]));
+        let (parts, terms) = (chain.optics().parts(), [0.3, -0.2, 0.5, 0.1]);
+        let is_tip = |mode: &Mode| matches!(mode, Mode::Tip(_) | Mode::Tilt(_));
+        let at: Array1<f64> = (parts.modes.iter().zip(0..))
+            .map(|(mode, i)| if is_tip(mode) { 0.0 } else { 9.0 * f64::from(i) })
+            .collect();
+        let (xs, ys) = parts.slopes.clone().unwrap();
+        let [a, b, c, d] = terms;
+        let shape = xs.iter().zip(&ys).map(|(x, y)| a * x * x + b * y * y + c * x * y + d).collect();
+        let shaped = Optics::new(OpticsParts { slopes: Some((shape, ys)), ..parts.clone() }).unwrap();
+        let (m, modes) = (parts.sampling.pixels, parts.modes.len());
+        let wanted = CpuChain::<f64>::new(Arc::new(shaped)).jacobian(at.view()).1;
+        let tip = |segment| {
+            let place = parts.modes.iter().position(|mode| matches!(mode, Mode::Tip(own) if *own == segment)).unwrap();
+            wanted.row(place).to_owned()
+        };
+        let figure = |segment| SegmentFigure { segment, terms };
+        let mut linear = chain.linearise(at.view()).with_figures(&[vec![figure(4)], vec![figure(1), figure(7)]]);
+        let mut found = Array2::zeros((linear.unknowns(), m * m));
+        linear.derivatives(0..m, found.view_mut());
+        let image: Vec<f64> = (0..m * m).map(|pixel| (0.7 * pixel as f64).cos()).collect();
+        let products = linear.products(&image)[0].clone();
+        for (row, wanted) in [(modes, tip(4)), (modes + 1, tip(1) + tip(7))] {
+            let peak = wanted.iter().fold(0.0f64, |most, value| most.max(value.abs()));
+            // As above.
+            assert!(found.row(row).iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-13 * peak), "{row}");
+            let product = wanted.dot(&Array1::from(image.clone()));
+            assert!((products[row] - product).abs() < 1e-13 * peak * (m * m) as f64, "{row}");
         }
     }
 }

@@ -28,6 +28,7 @@ pub use chain::{Chain, Choice, Fallback, Precision};
 pub use cpu::{CpuChain, FlatWavefront, FreeWavefront, Scratch};
 pub use detector::{Evaluation, Exposure, LoadedImage, Photometry};
 pub use device_group::{DeviceGroup, GroupMember};
+pub use field::SegmentFigure;
 pub use linear::LinearModel;
 pub use optics::{Colour, Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;

@@ -6,6 +6,7 @@ use crate::modes::SeparableBasis;
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
+use std::borrow::Cow;
 
 /// Effect of one coefficient. Its unit is nm of OPD.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -170,7 +171,7 @@ impl Optics {
 
     /// The monochromatic models of all wavelengths, whose images are added. A pixel is a fixed
     /// angle: in units of λ/D it is smaller for a longer λ.
-    pub fn colours(&self) -> Vec<Self> {
+    pub fn colours(&self) -> Vec<Cow<'_, Self>> {
         let monochromatic = |&colour: &Colour| {
             let Sampling { samples, pixels, pixels_per_lambda_over_d } = self.parts.sampling;
             let parts = OpticsParts {
@@ -183,10 +184,10 @@ impl Optics {
                 colours: vec![Colour::MONOCHROMATIC],
                 ..self.parts.clone()
             };
-            Self { parts, colour }
+            Cow::Owned(Self { parts, colour })
         };
         if self.has_one_wavelength() {
-            vec![self.clone()]
+            vec![Cow::Borrowed(self)]
         } else {
             self.parts.colours.iter().map(monochromatic).collect()
         }

@@ -81,7 +81,7 @@ impl Case<'_> {
     /// large.
     fn derivatives(&self, found: &ModalEstimate) -> Array2<f64> {
         let linear = self.chain.linearise(found.image_coefficients_nm.row(self.image));
-        let (modes, pixels) = (linear.modes(), linear.pixels());
+        let (modes, pixels) = (linear.unknowns(), linear.pixels());
         if modes * pixels * pixels > MAX_DERIVATIVES {
             return Array2::zeros((0, pixels * pixels));
         }

@@ -67,7 +67,7 @@ impl Sensitivity {
             let spread = weight.iter().zip(variance_e2).map(|(&w, &v)| if w > 0.0 { w * w * v * square } else { 0.0 });
             spread.collect()
         }));
-        let modes = linear.modes() + further.len();
+        let modes = linear.unknowns() + further.len();
         let rows = rows_of_tile(modes, linear.pixels(), tile_bytes);
         let mut found = products(linear, further, nuisances, &weights, rows).into_iter();
         let fisher = found.next().unwrap_or_default();

@@ -90,7 +90,7 @@ impl NormalEquations {
         let weighted: Vec<Array1<f64>> = optics.iter().map(|optic| optic * &weight).collect();
         let tile_bytes = fitter.model.tiles().derivative_bytes;
         // Derivatives by the modes are those of the PSF, for a flux of 1.
-        let products = along(&linear, &weighted, rows_of_tile(linear.modes(), linear.pixels(), tile_bytes)) * flux_e;
+        let products = along(&linear, &weighted, rows_of_tile(linear.unknowns(), linear.pixels(), tile_bytes)) * flux_e;
         let noise = (exposure.weight.as_slice(), None);
         let sensitivity = Sensitivity::at(&fitter.reference, at, flux_e, noise, exposure.photometry, tile_bytes);
         let moves = sensitivity.covariance()?.dot(&products);

@@ -80,7 +80,7 @@ pub(in crate::modal) fn products(
     tile: usize,
 ) -> Vec<Array2<f64>> {
     let m = linear.pixels();
-    let mut all = zeros(linear.modes() + further.len() + nuisances.count(), weights.len());
+    let mut all = zeros(linear.unknowns() + further.len() + nuisances.count(), weights.len());
     for first in (0..m).step_by(tile) {
         let tile = derivatives(linear, further, nuisances, first..m.min(first + tile));
         add_products(&tile, weights, first * m, &mut all);
@@ -93,7 +93,7 @@ pub(in crate::modal) fn products(
 /// `[mode, vector]`. Computed in tiles of `tile` rows of pixels.
 pub(in crate::modal) fn along(linear: &LinearModel, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
     let m = linear.pixels();
-    let mut all = Array2::zeros((linear.modes(), vectors.len()));
+    let mut all = Array2::zeros((linear.unknowns(), vectors.len()));
     for first in (0..m).step_by(tile) {
         let rows = first..m.min(first + tile);
         let tile = derivatives(linear, &[], Nuisances::None, rows.clone());
@@ -114,7 +114,7 @@ fn derivatives(
     nuisances: Nuisances,
     rows: std::ops::Range<usize>,
 ) -> Array2<f64> {
-    let (m, modes) = (linear.pixels(), linear.modes());
+    let (m, modes) = (linear.pixels(), linear.unknowns());
     let mut tile = Array2::ones((modes + further.len() + nuisances.count(), rows.len() * m));
     linear.derivatives(rows.clone(), tile.slice_mut(s![..modes, ..]));
     for (column, mut row) in further.iter().zip(tile.slice_mut(s![modes.., ..]).outer_iter_mut()) {

@@ -154,7 +154,7 @@ impl Metrics {
         self.flat.get_or_init(|| {
             let linear = reference.linearise(Array1::zeros(reference.optics().modes()).view());
             let peak = linear.psf().iter().copied().fold(0.0, f64::max);
-            let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
+            let rows = rows_of_tile(linear.unknowns(), linear.pixels(), self.tile_bytes);
             let kept = (rows == linear.pixels()).then(|| StoredDerivatives::new(&linear, self.nuisances));
             FlatImage { psf: linear.psf().to_vec(), kept, peak }
         })
@@ -176,7 +176,7 @@ impl Metrics {
             Some(kept) => kept.products(&weights),
             None => {
                 let linear = reference.linearise(Array1::zeros(reference.optics().modes()).view());
-                let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
+                let rows = rows_of_tile(linear.unknowns(), linear.pixels(), self.tile_bytes);
                 products(&linear, &[], self.nuisances, &weights, rows)
             }
         };
