@@ -142,6 +142,8 @@ fn flatten(sections: &mut Sections) {
     for rms_nm in [
         &mut aberrations.segment_piston_rms_nm,
         &mut aberrations.segment_tip_tilt_rms_nm,
+        &mut aberrations.segment_figure_rms_nm,
+        &mut aberrations.common_figure_rms_nm,
         &mut aberrations.ncpa_rms_nm,
         &mut aberrations.petal_piston_rms_nm,
         &mut aberrations.petal_tip_tilt_rms_nm,

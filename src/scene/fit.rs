@@ -91,8 +91,7 @@ section! {
         restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the recipes of Lamb et al.");
         /// Whether what the modes leave out (tips, tilts, figures and amplitudes of the segments,
         /// Zernikes to Noll 91, plate scale, gains, response) is marginalised after the fit, so
-        /// that error bars hold it; of images of one channel that are fitted alone. Sessions and
-        /// the watch do not.
+        /// that error bars hold it. Sessions and the watch do not.
         posterior: bool, ANY, default(false);
         /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the
         /// cheapest model within it is selected.

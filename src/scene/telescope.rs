@@ -309,6 +309,10 @@ section! {
         segment_piston_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// RMS of the segment tips and tilts over the pupil.
         segment_tip_tilt_rms_nm: f64, between(0.0, 1e6), default(0.0);
+        /// RMS over the pupil of focus and astigmatisms of the segments, each segment its own.
+        segment_figure_rms_nm: f64, between(0.0, 1e6), default(0.0);
+        /// RMS over the pupil of a focus and astigmatisms that all segments share.
+        common_figure_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// RMS of the non-common path aberrations over the pupil.
         ncpa_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// First and last Noll index of the Zernike polynomials of the non-common path aberrations.

@@ -113,11 +113,12 @@ impl<'a> Camera<'a> {
         let (n, m) = (sampling.samples, sampling.pixels);
         let mut field = vec![0.0f64; 2 * n * n];
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
+        let varies = truth.varies_over_segments();
         let pistons: Vec<(f64, f64)> = truth.piston_nm.iter().map(|&nm| phasor(nm)).collect();
         for (((p, segments, weights), &opd), &flat) in self.weights.rows().zip(opd_nm).zip(&self.weights.illuminated) {
             let (mut re, mut im) = (0.0, 0.0);
             for (&segment, weight) in segments.iter().zip(weights) {
-                let (sin, cos) = if truth.tilts_segments() {
+                let (sin, cos) = if varies {
                     let (x, y) = self.telescope.on_mirror(self.at(flat));
                     phasor(truth.segment_nm(&self.telescope.pupil, segment as usize, x, y))
                 } else {

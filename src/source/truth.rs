@@ -16,6 +16,8 @@ pub struct Truth {
     pub piston_nm: Vec<f64>,
     /// Tilt of each segment along x and y, nm RMS over the segment.
     pub tip_tilt_nm: Vec<[f64; 2]>,
+    /// Focus and two astigmatisms of each segment, nm RMS over the segment.
+    pub figure_nm: Vec<[f64; 3]>,
     /// Segment errors on the scene's grid, nm, `[y, x]`, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
     /// Non-common path aberrations on the same grid, nm.
@@ -27,6 +29,8 @@ pub struct Truth {
     drift: Option<(Vec<f64>, Ncpa)>,
     /// Length over which a segment's tilt of 1 nm RMS rises by 1 nm, m.
     tilt_unit_m: f64,
+    /// Mean and RMS about it of each figure over the segments, m².
+    figure_units_m2: [[f64; 2]; 3],
 }
 
 #[derive(Clone)]
@@ -52,7 +56,8 @@ impl Truth {
     pub fn draw(scene: &System, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
         let segments = telescope.pupil.segments.len();
         let Some(aberrations) = &scene.aberrations else {
-            return Self::assemble(telescope, vec![0.0; segments], vec![[0.0; 2]; segments], Ncpa::None);
+            let poses = (vec![0.0; segments], vec![[0.0; 2]; segments], vec![[0.0; 3]; segments]);
+            return Self::assemble(telescope, poses, Ncpa::None);
         };
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
         let areas = telescope.pupil.segment_areas();
@@ -87,6 +92,7 @@ impl Truth {
             None
         };
         let ncpa = ncpa.plus(draw_petals(aberrations, telescope, &mut normal)?);
+        let figure_nm = draw_figures(&areas, aberrations, &mut normal);
         let (piston_nm, tip_tilt_nm) = match planes {
             Some(planes) => {
                 let mut piston_nm: Vec<f64> = planes.iter().map(|plane| plane[0]).collect();
@@ -97,7 +103,7 @@ impl Truth {
             }
             None => (piston_nm, tip_tilt_nm),
         };
-        let mut truth = Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)?;
+        let mut truth = Self::assemble(telescope, (piston_nm, tip_tilt_nm, figure_nm), ncpa)?;
         truth.amplitude = reflectivity.into_iter().map(|more| (1.0 + more).max(0.0).sqrt()).collect();
         truth.drift = drift;
         Ok(truth)
@@ -116,7 +122,7 @@ impl Truth {
         if let Some(piston) = piston_nm.iter().find(|piston| !piston.is_finite()) {
             return Err(Error::Value(format!("a piston of {piston} nm is impossible; a finite number is needed")));
         }
-        let corrected = Self::assemble(telescope, piston_nm, self.tip_tilt_nm, self.ncpa)?;
+        let corrected = Self::assemble(telescope, (piston_nm, self.tip_tilt_nm, self.figure_nm), self.ncpa)?;
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..corrected })
     }
 
@@ -135,7 +141,7 @@ impl Truth {
         if let Some(nm) = tip_tilt_nm.iter().flatten().find(|nm| !nm.is_finite()) {
             return Err(Error::Value(format!("a tilt of {nm} nm is impossible; a finite number is needed")));
         }
-        let tilted = Self::assemble(telescope, self.piston_nm, tip_tilt_nm, self.ncpa)?;
+        let tilted = Self::assemble(telescope, (self.piston_nm, tip_tilt_nm, self.figure_nm), self.ncpa)?;
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..tilted })
     }
 
@@ -156,17 +162,33 @@ impl Truth {
             return Err(Error::Value(format!("a coefficient of {nm} nm is impossible; a finite number is needed")));
         }
         let added = Ncpa::Modes { basis, coefficients_nm, offset_nm: 0.0 };
-        let more = Self::assemble(telescope, self.piston_nm, self.tip_tilt_nm, self.ncpa.plus(added))?;
+        let poses = (self.piston_nm, self.tip_tilt_nm, self.figure_nm);
+        let more = Self::assemble(telescope, poses, self.ncpa.plus(added))?;
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..more })
     }
 
-    fn assemble(telescope: &Telescope, piston_nm: Vec<f64>, tip_tilt_nm: Vec<[f64; 2]>, ncpa: Ncpa) -> Result<Self> {
+    fn assemble(
+        telescope: &Telescope,
+        (piston_nm, tip_tilt_nm, figure_nm): (Vec<f64>, Vec<[f64; 2]>, Vec<[f64; 3]>),
+        ncpa: Ncpa,
+    ) -> Result<Self> {
         let pupil = &telescope.pupil;
         let outside = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);
-        let tilt_unit_m = segment_radius_rms(telescope);
+        let (tilt_unit_m, figure_units_m2) = (segment_radius_rms(telescope), figure_units_m2(telescope));
         let amplitude = vec![1.0; piston_nm.len()];
         let (phasing_nm, ncpa_nm, drift) = (outside.clone(), outside, None);
-        let mut truth = Self { piston_nm, tip_tilt_nm, phasing_nm, ncpa_nm, amplitude, ncpa, drift, tilt_unit_m };
+        let mut truth = Self {
+            piston_nm,
+            tip_tilt_nm,
+            figure_nm,
+            phasing_nm,
+            ncpa_nm,
+            amplitude,
+            ncpa,
+            drift,
+            tilt_unit_m,
+            figure_units_m2,
+        };
         [truth.phasing_nm, truth.ncpa_nm] = truth.maps_on(pupil)?;
         Ok(truth)
     }
@@ -199,12 +221,16 @@ impl Truth {
     /// Error of `segment` at a point, nm; `pupil` has the centres of the segments.
     pub(crate) fn segment_nm(&self, pupil: &Pupil, segment: usize, x_m: f64, y_m: f64) -> f64 {
         let (centre, [tip, tilt]) = (pupil.segments[segment], self.tip_tilt_nm[segment]);
-        self.piston_nm[segment] + (tip * (x_m - centre.x_m) + tilt * (y_m - centre.y_m)) / self.tilt_unit_m
+        let (x_m, y_m) = (x_m - centre.x_m, y_m - centre.y_m);
+        let plane_nm = self.piston_nm[segment] + (tip * x_m + tilt * y_m) / self.tilt_unit_m;
+        let figures = figures_m2(x_m, y_m).into_iter().zip(self.figure_units_m2).zip(self.figure_nm[segment]);
+        plane_nm
+            + figures.map(|((m2, [mean, rms]), nm)| if nm == 0.0 { 0.0 } else { nm * (m2 - mean) / rms }).sum::<f64>()
     }
 
-    /// Whether any segment is tilted.
-    pub(super) fn tilts_segments(&self) -> bool {
-        self.tip_tilt_nm.iter().flatten().any(|&tilt| tilt != 0.0)
+    /// Whether any segment has more than a piston.
+    pub(super) fn varies_over_segments(&self) -> bool {
+        self.tip_tilt_nm.iter().flatten().chain(self.figure_nm.iter().flatten()).any(|&nm| nm != 0.0)
     }
 
     /// Maps of the segment errors and of the NCPA on the grid of `pupil`, `[y, x]`, nm, NaN outside
@@ -270,6 +296,26 @@ fn segment_radius_rms(telescope: &Telescope) -> f64 {
     (square / weight).sqrt()
 }
 
+/// Focus and two astigmatisms at a point from the centre of a segment, m².
+fn figures_m2(x_m: f64, y_m: f64) -> [f64; 3] {
+    [x_m * x_m + y_m * y_m, x_m * x_m - y_m * y_m, 2.0 * x_m * y_m]
+}
+
+/// Mean and RMS about it of each figure over the segments, m², measured on the pupil.
+fn figure_units_m2(telescope: &Telescope) -> [[f64; 2]; 3] {
+    let pupil = &telescope.pupil;
+    let (mut weight, mut sums) = (0.0, [[0.0; 2]; 3]);
+    for ((y, x), owner) in pupil.owned_samples() {
+        let (a, centre) = (pupil.amplitude[[y, x]], pupil.segments[owner]);
+        let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
+        weight += a;
+        for ([sum, square], m2) in sums.iter_mut().zip(figures_m2(x, y)) {
+            (*sum, *square) = (*sum + a * m2, *square + a * m2 * m2);
+        }
+    }
+    sums.map(|[sum, square]| [sum / weight, (square / weight - (sum / weight).powi(2)).max(0.0).sqrt()])
+}
+
 fn weighted_mean(values: &[f64], areas: &[f64]) -> f64 {
     let whole: f64 = areas.iter().sum();
     values.iter().zip(areas).map(|(v, a)| v * a).sum::<f64>() / whole
@@ -292,6 +338,22 @@ fn draw_tilts(areas: &[f64], rms: f64, normal: &mut dyn FnMut() -> f64) -> Vec<f
     let square: Vec<f64> = tilts.chunks(2).map(|t| t[0] * t[0] + t[1] * t[1]).collect();
     scale_to(&mut tilts, weighted_mean(&square, areas).sqrt(), rms);
     tilts
+}
+
+/// Figures of segments with these areas: those that all share, and each its own.
+fn draw_figures(areas: &[f64], aberrations: &AberrationScene, normal: &mut dyn FnMut() -> f64) -> Vec<[f64; 3]> {
+    // Without figures no number is drawn, so that the noise of a seed stays.
+    if aberrations.common_figure_rms_nm == 0.0 && aberrations.segment_figure_rms_nm == 0.0 {
+        return vec![[0.0; 3]; areas.len()];
+    }
+    let square = |figure: &[f64; 3]| figure.iter().map(|nm| nm * nm).sum::<f64>();
+    let mut common = [0; 3].map(|_| normal());
+    let rms = square(&common).sqrt();
+    scale_to(&mut common, rms, aberrations.common_figure_rms_nm);
+    let mut own: Vec<[f64; 3]> = areas.iter().map(|_| [0; 3].map(|_| normal())).collect();
+    let rms = weighted_mean(&own.iter().map(square).collect::<Vec<_>>(), areas).sqrt();
+    scale_to(own.as_flattened_mut(), rms, aberrations.segment_figure_rms_nm);
+    own.into_iter().map(|own| [0, 1, 2].map(|kind| own[kind] + common[kind])).collect()
 }
 
 /// Petals of `aberrations`, given or drawn.
