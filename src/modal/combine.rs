@@ -25,7 +25,7 @@ use crate::modal::combine::sequence::{SEQUENCE, scatter, shrinkage_of_variance};
 use crate::modal::combine::single_image::{Combined, Fits, SingleImage, centre, scale_of_noise};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
-use crate::modal::left_out::WithLeftOut;
+use crate::modal::left_out::{OwnEquations, WithLeftOut};
 use crate::modal::solve::minimum::Minimum;
 use crate::modal::solve::restart::is_same_minimum;
 use crate::modes::{Degeneracy, WEAK_BELOW};
@@ -112,10 +112,13 @@ pub struct ModalEstimate {
     pub device_failure: Option<String>,
     /// Precision of the chain.
     pub precision: Precision,
-    /// The combined modes without a prior and without the errors that all images share.
+    /// The combined modes without a prior and without the errors that all images share, as if
+    /// nothing was left out.
     likelihood: CombinedModes,
     /// What the modes leave out, where that was marginalised.
     left_out: Option<WithLeftOut>,
+    /// The equations of what is left out, for a combination with other channels.
+    left_out_equations: Option<OwnEquations>,
     /// Whether the images were fitted together with those of other channels.
     pub(super) is_of_group: bool,
     /// Covariances of a single image.
@@ -123,7 +126,8 @@ pub struct ModalEstimate {
 }
 
 impl ModalEstimate {
-    /// The combined modes without a prior and without the errors that all images share.
+    /// The combined modes without a prior and without the errors that all images share, as if
+    /// nothing was left out.
     pub(super) fn likelihood(&self) -> &CombinedModes {
         &self.likelihood
     }
@@ -131,6 +135,16 @@ impl ModalEstimate {
     /// What the modes leave out, where it is marginalised.
     pub(crate) fn left_out(&self) -> Option<&WithLeftOut> {
         self.left_out.as_ref()
+    }
+
+    /// The equations of what is left out, where it is marginalised.
+    pub(super) fn left_out_equations(&self) -> Option<&OwnEquations> {
+        self.left_out_equations.as_ref()
+    }
+
+    /// Forgets what the modes of this channel leave out, which that of all channels replaces.
+    pub(crate) fn forget_left_out(&mut self) {
+        self.left_out = None;
     }
 
     /// Whether the images were fitted together with those of other channels, which determine what
@@ -208,13 +222,14 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
     let centre_nm = centre(motions, &fitted_nm.select(Axis(0), &used), how);
     let mut likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
-    let mut left_out = None;
+    let (mut combined, mut left_out, mut left_out_equations) = (likelihood.clone(), None, None);
     if let Some(modes) = fitter.left_out()? {
         let fits: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
-        // What a few images scatter is their noise, scaled by a χ² that the left-out modes explain.
-        let noise_nm2 = if is_sequence { &single.noise_nm2 } else { &single.scatter_nm2 } * shrinkage;
-        let found = modes.marginalised((model, motions), &fits, &likelihood, &(noise_nm2 + &single.shared_nm2))?;
-        likelihood = found.modes.clone();
+        let noise_nm2 = &single.noise_nm2 * shrinkage + &single.shared_nm2;
+        let mean_chi2 = if used.len() > 1 { mean_residual_chi2 } else { 1.0 };
+        let (found, alone, equations) =
+            modes.marginalised((model, motions), (&fits, mean_chi2), &likelihood, &noise_nm2)?;
+        (combined, likelihood, left_out_equations) = (found.modes.clone(), alone, Some(equations));
         for (&place, explained) in used.iter().zip(&found.explained_chi2) {
             let chi2 = &mut minima[place].chi2;
             chi2.value -= explained / chi2.freedom;
@@ -230,7 +245,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     Ok(ModalEstimate {
         combine: how,
-        combined: Combination::new(fitter, likelihood.clone(), images_of(&used), images_of(&clipped))?,
+        combined: Combination::new(fitter, combined, images_of(&used), images_of(&clipped))?,
         mean_residual_chi2,
         agreement: agreement.of_images(indices),
         compared: fitted_image(fitter, &minima[first], &prepared[first]),
@@ -239,6 +254,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
         image_coefficients_nm: coefficients_nm,
         likelihood,
         left_out,
+        left_out_equations,
         is_of_group: false,
         single,
         seconds: 0.0,

@@ -130,11 +130,13 @@ pub(crate) fn estimate_group(
     let differences = found.group.members.iter().map(|member| member.place).zip(differences.iter().copied());
     let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| found.best.minima.len() > 2);
     let mut estimates = Vec::new();
-    for (fitter, fits) in fitters.into_iter().zip(fits) {
+    for (mut fitter, fits) in fitters.into_iter().zip(fits) {
         if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| reason_of_none(&fits)) {
             estimates.push(Err(reason));
             continue;
         }
+        // What is left out is common to the group.
+        fitter.recipe.marginalise = false;
         let mut own = combine(&fitter, FittedCube::from_fits(fits), false)?;
         (own.is_of_group, own.device) = (true, "cpu".into());
         own.seconds =

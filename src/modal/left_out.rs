@@ -23,9 +23,10 @@ mod step;
 
 use crate::empirical_bayes::VarianceRule;
 use crate::grid::Grid;
-use crate::imaging::{CpuChain, Mode, Optics, OpticsParts};
+use crate::imaging::{CpuChain, Mode, Optics, OpticsParts, SegmentFigure};
+use crate::modal::fitter::ModalFitter;
 use crate::modal::model::{Model, slopes};
-use crate::modes::{circle_zernikes, tilt_frames};
+use crate::modes::{TiltFrame, circle_zernikes, tilt_frames};
 use crate::pupil::Pupil;
 use crate::scene::{NollRange, ToleranceScene};
 use crate::{Error, Result};
@@ -34,6 +35,7 @@ use ndarray::{Array2, ArrayView1, Axis, concatenate};
 use std::ops::Range;
 use std::sync::Arc;
 
+pub(in crate::modal) use equations::OwnEquations;
 pub(in crate::modal) use groups::{Group, priors};
 pub use result::ModelError;
 pub(crate) use result::{LeftOutTerm, WithLeftOut};
@@ -41,7 +43,7 @@ pub(in crate::modal) use step::{Equations, Step};
 
 /// Last Zernike, in Noll's order, that is marginalised where the fit ends before it.
 const LAST_ZERNIKE: usize = 91;
-/// Most figures of segments, three for each: their maps are on all samples.
+/// Most figures of segments, three for each.
 const MOST_FIGURES: usize = 400;
 /// Unit of the amplitudes of the segments, relative.
 const AMPLITUDE_UNIT: f64 = 1e-3;
@@ -63,11 +65,13 @@ pub(in crate::modal) struct LeftOut {
     tilts: Range<usize>,
     /// Number of all modes.
     modes: usize,
+    /// Figures of the segments, unknowns behind the modes.
+    figures: Vec<Vec<SegmentFigure>>,
     /// Those of the camera come last.
     groups: Vec<Group>,
-    /// Patterns of the illumination over the segments, `[pattern, segment]`, where the amplitudes
-    /// of these are among the unknowns.
-    illumination: Option<Array2<f64>>,
+    /// Logarithms of the amplitudes of the segments for one unit of each unknown that is of them,
+    /// `[unknown, segment]`: each segment's own, and patterns of the illumination.
+    amplitudes: Option<Array2<f64>>,
     tolerance: ToleranceScene,
 }
 
@@ -83,7 +87,7 @@ impl LeftOut {
         tolerance: &ToleranceScene,
         amplitude_unit_nm: Option<f64>,
     ) -> Result<Self> {
-        let (parts, pupil) = (model.optics.parts().clone(), &model.telescope.pupil);
+        let (parts, pupil) = (model.optics.parts(), &model.telescope.pupil);
         let grid = Grid::new(parts.sampling.samples, pupil.grid.width_m() * model.width_ratio())?;
         let samples = grid.samples();
         let point =
@@ -103,48 +107,41 @@ impl LeftOut {
             if own_slopes.is_none() {
                 own_slopes = Some(slopes(&parts.weights, &points, pupil)?);
                 let own = (0..segments).map(Mode::Tip).chain((0..segments).map(Mode::Tilt)).collect();
-                columns.push(name, own, [3.0, 30.0], (VarianceRule::UniformRms, Of::Tilts));
+                columns.push(name, own, [3.0, 30.0], (VarianceRule::MostLikely, Of::Tilts));
             } else {
                 tilts = segments..model.segment_modes;
                 columns.fitted = tilts.len();
-                columns.push(name, Vec::new(), [3.0, 30.0], (VarianceRule::UniformRms, Of::FittedTilts));
-            }
-            let (common, owner) = common_figures(&parts, &points, model)?;
-            if 3 * segments <= MOST_FIGURES {
-                let figures = Array2::from_shape_fn((3 * segments, points.len()), |(row, sample)| {
-                    if owner[sample] == row / 3 { common[[row % 3, sample]] } else { 0.0 }
-                });
-                columns.push_rows(
-                    "figures of the segments",
-                    figures,
-                    [2.0, 20.0],
-                    (VarianceRule::UniformRms, Of::Figures),
-                );
-            }
-            // Mirrors are polished and warped in series.
-            if tolerance.common_figure_nm > 0.0 {
-                let sizes_nm = [tolerance.common_figure_nm; 2];
-                let of = (VarianceRule::Fixed, Of::AllSegments);
-                columns.push_rows("figure that all segments share", common, sizes_nm, of);
+                columns.push(name, Vec::new(), [3.0, 30.0], (VarianceRule::MostLikely, Of::FittedTilts));
             }
         }
         if last_zernike > 1 && last_zernike < LAST_ZERNIKE {
             let (xs, ys): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
             let zernikes = circle_zernikes(last_zernike + 1, LAST_ZERNIKE, pupil)?.evaluate(&xs, &ys)?;
             let name = format!("Zernikes {} to {LAST_ZERNIKE}", last_zernike + 1);
-            columns.push_rows(name, zernikes, [1.0, 3.0], (VarianceRule::UniformRms, Of::Ncpa));
+            columns.push_rows(name, zernikes, [1.0, 3.0], (VarianceRule::MostLikely, Of::Ncpa));
         }
-        let illumination = (model.pistons() == segments && segments > 1 && 3 * segments <= MOST_FIGURES).then(|| {
-            columns.push_further(
-                "amplitudes of the segments",
-                segments,
-                AMPLITUDES,
-                (VarianceRule::UniformRms, Of::Amplitudes),
-            );
+        let mut figures = Vec::new();
+        if own_slopes.is_some() && model.pistons() == segments && segments > 1 {
+            let each = segment_figures(parts, &points, model)?;
+            if 3 * segments <= MOST_FIGURES {
+                figures.extend(each.iter().flatten().map(|figure| vec![*figure]));
+                let of = (VarianceRule::MostLikely, Of::Figures);
+                columns.push_further("figures of the segments", figures.len(), [2.0, 20.0], of);
+            }
+            // Mirrors are polished and warped in series.
+            if tolerance.common_figure_nm > 0.0 {
+                figures.extend((0..3).map(|kind| each.iter().map(|own| own[kind]).collect()));
+                let of = (VarianceRule::Fixed, Of::AllSegments);
+                columns.push_further("figure that all segments share", 3, [tolerance.common_figure_nm; 2], of);
+            }
+        }
+        let amplitudes = (model.pistons() == segments && segments > 1 && 3 * segments <= MOST_FIGURES).then(|| {
+            let of = (VarianceRule::MostLikely, Of::Amplitudes);
+            columns.push_further("amplitudes of the segments", segments, AMPLITUDES, of);
             for name in ILLUMINATIONS {
                 columns.push_error(name, tolerance.illumination_fraction);
             }
-            illumination(pupil)
+            amplitudes(pupil, tolerance.illumination_fraction)
         });
         for (name, tolerance) in camera::errors(tolerance) {
             columns.push_error(name, tolerance);
@@ -155,9 +152,20 @@ impl LeftOut {
         let rows: Vec<_> =
             std::iter::once(parts.basis.view()).chain(columns.rows.iter().map(|rows| rows.view())).collect();
         let basis = concatenate(Axis(0), &rows).map_err(|error| Error::Internal(error.to_string()))?;
-        let optics = Optics::new(OpticsParts { basis, modes, products: None, slopes: own_slopes, ..parts })?;
+        let optics = Optics::new(OpticsParts {
+            basis,
+            modes,
+            products: None,
+            slopes: own_slopes,
+            sampling: parts.sampling,
+            wavelength_nm: parts.wavelength_nm,
+            colours: parts.colours.clone(),
+            pixel: parts.pixel,
+            diversity_nm: parts.diversity_nm.clone(),
+            weights: parts.weights.clone(),
+        })?;
         let (chain, groups) = (CpuChain::new(Arc::new(optics)), columns.groups);
-        Ok(Self { chain, fitted, tilts, modes: count, groups, illumination, tolerance: tolerance.clone() })
+        Ok(Self { chain, fitted, tilts, modes: count, figures, groups, amplitudes, tolerance: tolerance.clone() })
     }
 
     /// Number of the unknowns.
@@ -176,58 +184,81 @@ impl LeftOut {
         self.unknowns() - errors..self.unknowns()
     }
 
-    /// The groups of images with several `cameras`, whose errors come one camera after the other.
+    /// The groups of images of the cameras of these names, whose errors come one camera after the
+    /// other; none where all have one camera.
     pub(in crate::modal) fn groups_of(&self, cameras: &[String]) -> Vec<Group> {
+        if cameras.is_empty() {
+            return self.groups.clone();
+        }
         let (common, own) = self.groups.split_at(self.groups.len() - self.of_camera().len());
         let each = cameras.iter().enumerate().flat_map(|(number, camera)| {
             own.iter().map(move |group| {
                 let Range { start, end } = group.columns;
                 let columns = start + number * own.len()..end + number * own.len();
-                let name = if camera.is_empty() { group.name.clone() } else { format!("{} ({camera})", group.name) };
-                Group { name, columns, ..group.clone() }
+                Group { name: format!("{} ({camera})", group.name), columns, ..group.clone() }
             })
         });
         common.iter().cloned().chain(each).collect()
     }
 }
 
-/// Slopes along x and y, and squares of the distance from the centre, of the segments' centres, at
-/// most 1: `[pattern, segment]`.
-fn illumination(pupil: &Pupil) -> Array2<f64> {
-    let radius_m = pupil.segments.iter().map(|segment| segment.x_m.hypot(segment.y_m)).fold(0.0, f64::max);
-    Array2::from_shape_fn((ILLUMINATIONS.len(), pupil.segments.len()), |(pattern, segment)| {
-        let [x, y] = [pupil.segments[segment].x_m, pupil.segments[segment].y_m].map(|m| m / radius_m);
-        [x, y, x * x + y * y][pattern]
+/// Whether all channels have one camera: one wavelength and one sampling.
+pub(in crate::modal) fn has_one_camera<'a>(fitters: impl IntoIterator<Item = &'a ModalFitter>) -> bool {
+    let camera = |fitter: &ModalFitter| {
+        let image = &fitter.scene.image;
+        (image.wavelength_nm, image.samples_per_lambda_over_d)
+    };
+    let mut cameras = fitters.into_iter().map(camera);
+    let first = cameras.next();
+    cameras.all(|other| Some(other) == first)
+}
+
+/// Each segment's amplitude, in its unit, and where `tolerance` is above 0 as many of slopes along x
+/// and y, and of the square of the distance from the centre, of the segments' centres, at most 1:
+/// `[unknown, segment]`.
+fn amplitudes(pupil: &Pupil, tolerance: f64) -> Array2<f64> {
+    let segments = &pupil.segments;
+    let radius_m = segments.iter().map(|segment| segment.x_m.hypot(segment.y_m)).fold(0.0, f64::max);
+    let patterns = if tolerance > 0.0 { ILLUMINATIONS.len() } else { 0 };
+    Array2::from_shape_fn((segments.len() + patterns, segments.len()), |(unknown, segment)| {
+        let Some(pattern) = unknown.checked_sub(segments.len()) else {
+            return if unknown == segment { AMPLITUDE_UNIT } else { 0.0 };
+        };
+        let [x, y] = [segments[segment].x_m, segments[segment].y_m].map(|m| m / radius_m);
+        tolerance * [x, y, x * x + y * y][pattern]
     })
 }
 
-/// Focus and two astigmatisms of every segment, of unit RMS over each, `[figure, sample]`, and the
-/// segment of each sample: that with most of its light.
-fn common_figures(parts: &OpticsParts, points: &[(f64, f64)], model: &Model) -> Result<(Array2<f64>, Vec<usize>)> {
+/// Focus and two astigmatisms of every segment, of unit RMS in the mean over all: the same shapes on
+/// each, m², so that those of all segments are a smooth shape of the pupil less pistons, tips and
+/// tilts.
+///
+/// They are shapes of the segments, and not maps: of a sample that belongs to several segments each
+/// part has its own. As maps, of the brightest segment at each sample, 5 nm of a common figure of
+/// JWST were seen to differ from their staircase of 98 nm, by seven standard deviations.
+fn segment_figures(parts: &OpticsParts, points: &[(f64, f64)], model: &Model) -> Result<Vec<[SegmentFigure; 3]>> {
     let frames = tilt_frames(&model.telescope.pupil)?;
-    let brightest = |segments: &[u32], weights: &[f64]| {
-        let entries = segments.iter().zip(weights).map(|(&segment, weight)| (segment as usize, weight * weight));
-        entries.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0))
+    let terms = |frame: &TiltFrame| {
+        let [x2, y2] = frame.rms_m().map(|m| m * m);
+        [[x2, y2, 0.0, -x2 - y2], [x2, -y2, 0.0, y2 - x2], [0.0, 0.0, 2.0 * (x2 * y2).sqrt(), 0.0]]
     };
-    let owner: Vec<(usize, f64)> = parts.weights.rows().map(|(_, of, weights)| brightest(of, weights)).collect();
-    let mut figures = Array2::from_shape_fn((3, points.len()), |(kind, sample)| {
-        let [x, y] = frames[owner[sample].0].tilts(points[sample].into());
-        [x * x + y * y, x * x - y * y, 2.0 * x * y][kind]
-    });
-    for mut figure in figures.outer_iter_mut() {
-        // Light, and means over it of the figure and of its square.
-        let mut sums = vec![[0.0; 3]; frames.len()];
-        for (&(segment, light), value) in owner.iter().zip(&figure) {
-            let terms = [light, light * value, light * value * value];
-            sums[segment].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-        }
-        for (&(segment, _), value) in owner.iter().zip(&mut figure) {
-            let [light, mean, square] = sums[segment];
-            let variance = square / light - (mean / light).powi(2);
-            *value = if variance > 0.0 { (*value - mean / light) / variance.sqrt() } else { 0.0 };
+    let (mut light, mut squares) = (0.0, [0.0; 3]);
+    for ((_, segments, weights), &(x_m, y_m)) in parts.weights.rows().zip(points) {
+        for (&segment, weight) in segments.iter().zip(weights) {
+            let frame = &frames[segment as usize];
+            let [x, y] = frame.tilts([x_m, y_m]);
+            light += weight * weight;
+            for (square, [a, b, c, d]) in squares.iter_mut().zip(terms(frame)) {
+                *square += (weight * (a * x * x + b * y * y + c * x * y + d)).powi(2);
+            }
         }
     }
-    Ok((figures, owner.into_iter().map(|(segment, _)| segment).collect()))
+    let rms_m2 = squares.map(|square| (square / light).sqrt());
+    let of_segment = |(segment, frame): (usize, &TiltFrame)| {
+        let terms = terms(frame);
+        [0, 1, 2].map(|kind| SegmentFigure { segment, terms: terms[kind].map(|m2| m2 / rms_m2[kind]) })
+    };
+    Ok(frames.iter().enumerate().map(of_segment).collect())
 }
 
 /// The last Zernike, in Noll's order, that the exact ones or those with a prior of a recipe end

@@ -205,7 +205,7 @@ impl Session {
         let found = found.collect::<Result<Vec<_>>>()?;
         let each: Vec<_> =
             self.channels.iter().zip(&found).map(|(channel, found)| (&**channel.fitter(), found)).collect();
-        let joint = joint(scene, &each)?;
+        let joint = joint(scene, &each, &[])?;
         let near_nm = &joint.modes.coefficients_nm;
         match (!joint.is_contradictory()).then(|| together(near_nm)).transpose()?.flatten() {
             Some(found) => Ok(RefinedGroup { integers: joint.integers, ..found.into() }),

@@ -87,6 +87,11 @@ pub(crate) struct TiltFrame {
 }
 
 impl TiltFrame {
+    /// RMS over the segment of the distance from its centroid, along x and along y, m.
+    pub(crate) fn rms_m(&self) -> [f64; 2] {
+        self.rms_m
+    }
+
     /// Tip and tilt of unit RMS over the segment, at a point.
     pub(crate) fn tilts(&self, point_m: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|axis| (point_m[axis] - self.centroid_m[axis]) / self.rms_m[axis])

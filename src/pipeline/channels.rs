@@ -84,7 +84,7 @@ impl<'a> Channels<'a> {
     ) -> Result<Self> {
         let scenes = channels.iter().map(|channel| {
             let own = match channel.name {
-                Some(_) => own_scene(&channel.scene, channels.len() > 1)?,
+                Some(_) => own_scene(&channel.scene)?,
                 None => channel.scene.clone(),
             };
             Ok((own, channel.cache.clone()))
@@ -128,7 +128,10 @@ impl<'a> Channels<'a> {
 
     /// The estimate from the fits of several channels.
     pub(super) fn estimate(&self, begun: (Vec<Fitted>, JointEstimate)) -> Result<Estimate> {
-        let (fits, found) = self.with_extensions(begun)?;
+        let (mut fits, found) = self.with_extensions(begun)?;
+        if found.left_out.is_some() {
+            fits.iter_mut().for_each(|fitted| fitted.fit.1.forget_left_out());
+        }
         let each = fits.into_iter().map(|fitted| fitted.into_estimate(&self.policy)).collect::<Result<Vec<_>>>()?;
         combined(self.scene, found, names(self.channels), each)
     }
@@ -182,7 +185,8 @@ impl<'a> Channels<'a> {
 
     fn combine(&self, fits: &[Fitted]) -> Result<JointEstimate> {
         self.control.enter(Stage::Combining, 0);
-        joint(self.scene, &fits.iter().map(|Fitted { fit: (fitter, found), .. }| (fitter, found)).collect::<Vec<_>>())
+        let each: Vec<_> = fits.iter().map(|Fitted { fit: (fitter, found), .. }| (fitter, found)).collect();
+        joint(self.scene, &each, &names(self.channels))
     }
 
     /// Fits each channel from the joint result, from that of each other channel and from a
@@ -204,13 +208,9 @@ impl<'a> Channels<'a> {
 }
 
 /// The scene by which one channel is fitted: without the amplitude of its diversity, which only all
-/// channels together determine, and alone. What the modes leave out is common to channels, so that
-/// the fit of one of `is_of_several` cannot hold it.
-fn own_scene(scene: &Scene, is_of_several: bool) -> Result<Scene> {
+/// channels together determine, and alone.
+fn own_scene(scene: &Scene) -> Result<Scene> {
     scene.changed(|sections| {
-        if is_of_several {
-            sections.leave_out_posterior();
-        }
         sections.estimate.fit_optics.retain(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic));
         sections.estimate.group = Grouping::Each;
     })
@@ -252,7 +252,8 @@ pub(super) fn combined(
         let own = errors.take_left_out(&mut error_budget[0], left_out)?;
         error_budget.push(own);
     }
-    let sigma_nm = errors.with_left_out_nm(&found.modes.covariance_nm2, found.left_out.as_ref())?;
+    let left_out = found.left_out.as_ref();
+    let sigma_nm = errors.with_left_out_nm(&found.modes.covariance_nm2, left_out)?;
     Ok(Estimate {
         // The scene as given, with its channels.
         scene: scene.clone(),
@@ -261,7 +262,7 @@ pub(super) fn combined(
         figures: Figures::new(&first.pupil, &found.maps, sigma_nm)?,
         pupil: first.pupil.clone(),
         error_budget,
-        model_errors: found.left_out.as_ref().map(|left_out| left_out.errors.clone()).unwrap_or_default(),
+        model_errors: left_out.map(|left_out| left_out.errors.clone()).unwrap_or_default(),
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
         status: *Status::worst(each.iter().map(|one| &one.status)),
@@ -269,7 +270,7 @@ pub(super) fn combined(
         model: first.model.clone(),
         optics: optics(&found, &names, &each),
         warnings: warnings(&found, &names, &each),
-        remarks: remarks(scene, &found, &errors, &each)?,
+        remarks: remarks(&found, &errors, &each)?,
         run: Run { seconds: sum(|run| run.seconds), model_seconds: sum(|run| run.model_seconds), ..first.run.clone() },
         channels: names,
         modes: found.modes,
@@ -301,14 +302,8 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
 }
 
 /// Remarks of the channels, each once; that on the diversity is of all channels together.
-fn remarks(scene: &Scene, found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
+fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
     let mut sentences: Vec<String> = found.left_out.iter().map(super::remarks::left_out_remark).collect();
-    if scene.estimate.posterior && each.len() > 1 && found.left_out.is_none() {
-        sentences.push(
-            "The error bars do not hold what the modes leave out: these images were fitted alone, because one wavefront does not explain them."
-                .into(),
-        );
-    }
     for sentence in each.iter().flat_map(|one| &one.remarks) {
         if !sentences.contains(sentence) && !sentence.starts_with(super::remarks::ON_DIVERSITY) {
             sentences.push(sentence.clone());

@@ -37,15 +37,6 @@ impl Together {
                 scene.name()
             ))),
         };
-        let alone = || match scene.estimate.posterior && channels.len() > 1 {
-            false => alone(),
-            true => Err(Error::Scene(format!(
-                "{}: estimate.posterior = true is for images that are fitted together, or of one channel, and here those of {} channels are \
-                 fitted alone; set estimate.group = \"all\", or leave it out",
-                scene.name(),
-                channels.len()
-            ))),
-        };
         if scene.estimate.group == Grouping::Each || (scene.estimate.group == Grouping::Auto && channels.len() < 2) {
             return alone();
         }

@@ -10,8 +10,9 @@ use crate::{Error, Result};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {
     /// Whether the Zernikes of Noll indices 22 to 45 are fitted too, with a prior whose level
-    /// follows from the images, so that the error bars include them. Without effect where the scene
-    /// names `modes.exact_zernikes`.
+    /// follows from the images, so that the error bars include them; and whether
+    /// `estimate.posterior` is followed. Where the scene names `modes.exact_zernikes`, those modes
+    /// are all.
     pub prior_modes: bool,
     /// Whether images that are reduced for the fit are searched for outlier pixels (cosmic rays,
     /// hot and dead pixels) where the model does not explain them, and fitted again. What a fit

@@ -136,13 +136,19 @@ pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
     added.into_iter().chain(unseen).collect()
 }
 
+/// Size of what was left out that is shown with one digit.
+const LEAST_SIZE: f64 = 0.05;
+
 /// What the modes leave out, and how large the images say it is.
 pub(super) fn left_out_remark(left_out: &WithLeftOut) -> String {
-    let size = |term: &LeftOutTerm| format!("{} {:.1} {}", term.name, term.size, term.unit);
-    let sizes: Vec<String> = left_out.terms.iter().map(size).collect();
+    let size = |term: &&LeftOutTerm| format!("{} {:.1} {}", term.name, term.size, term.unit);
+    let (seen, unseen): (Vec<_>, Vec<_>) = left_out.terms.iter().partition(|term| term.size >= LEAST_SIZE);
+    let mut parts: Vec<String> = seen.iter().map(size).collect();
+    parts.push("errors of the camera and of the illumination within their tolerances".into());
+    let unseen: Vec<&str> = unseen.iter().map(|term| term.name.as_str()).collect();
+    let none = if unseen.is_empty() { String::new() } else { format!("; the images show no {}", unseen.join(", no ")) };
     format!(
-        "Not fitted, and in the error bars with the size that the images allow, RMS of each: {}; errors of the camera and of the \
-         illumination within their tolerances.",
-        sizes.join(", ")
+        "Not fitted, and in the error bars with the size that the images show, RMS of each: {}{none}.",
+        parts.join(", ")
     )
 }

@@ -88,6 +88,21 @@ fn a_few_images_of_another_wavefront_are_left_out_and_named() {
     assert!(found.figures.phasing.sigma_nm > 0.5 * 20.0 / 7.0);
 }
 
+/// What the modes leave out explains no difference of images, and its error bars hold it.
+#[test]
+fn differences_of_images_stay_in_the_error_bars() {
+    let posterior = ("estimate.posterior", "true");
+    for (count, others) in [(3, &[1][..]), (7, &[0, 2, 5])] {
+        let found = estimate(&images(count, others, 20.0, &[]), &[posterior]);
+        assert_eq!(found.status, Status::Contradictory);
+        let off_nm = found.truth.as_ref().unwrap().1.rms_nm[0];
+        assert!(off_nm > 3.0 && off_nm < 2.0 * found.figures.phasing.sigma_nm, "{off_nm} {:?}", found.figures);
+    }
+    let mean = [("estimate.combine", "mean"), posterior];
+    let found = estimate(&images(7, &[1], 20.0, &mean), &mean);
+    assert!(found.used() == 7 && found.figures.phasing.sigma_nm > 0.5 * 20.0 / 7.0, "{:?}", found.figures);
+}
+
 #[test]
 fn images_of_one_wavefront_agree() {
     for count in [2, 3, 7, 20] {

@@ -20,6 +20,8 @@
 //! channels are of one wavefront by one model: an image that is flipped, or of another wavelength
 //! than the scene says, disagrees with the others.
 
+mod left_out;
+
 use crate::modal::assess::fisher::{self, null_floor, pseudo_inverse, without};
 use crate::modal::assess::tilts::spanned_tip_and_tilt;
 use crate::modal::combine::combined_modes::CombinedModes;
@@ -32,6 +34,7 @@ use crate::modal::fitter::ModalFitter;
 use crate::modal::left_out::WithLeftOut;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
+use left_out::WithStep;
 use ndarray::{Array1, Array2, Axis, concatenate, s};
 
 /// Fitter of a channel, and what it found.
@@ -72,6 +75,7 @@ pub(crate) struct JointEstimate {
 }
 
 /// Normal likelihood of the modes, from one channel.
+#[derive(Clone)]
 struct Likelihood {
     /// ĉ, nm.
     coefficients_nm: Array1<f64>,
@@ -122,12 +126,13 @@ pub(in crate::modal) fn check_same_modes<'a>(fitters: impl IntoIterator<Item = &
     }
 }
 
-/// Combines the estimates of the channels of `scene`, which have the same modes.
+/// Combines the estimates of the channels of `scene`, which have the same modes, and `names`; what
+/// they leave out is marginalised where it was for each.
 ///
 /// # Errors
 /// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do
 /// not span; [`Error::Value`] where no mode changes the images.
-pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEstimate> {
+pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (count, model) = (first.model.optics.modes(), &first.model);
     check_same_modes(channels.iter().map(|(fitter, _)| *fitter))?;
@@ -155,32 +160,35 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit]) -> Result<JointEsti
     let normal =
         |with_amplitude: bool| Normal::new(&likelihoods, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
     let mut found = normal(is_unknown)?;
-    let mut defocus = None;
-    if let Some(optic) = amplitude {
-        let share = found.share_of_amplitude(&likelihoods);
-        let is_identifiable = share > LEAST_SHARE;
-        if !is_identifiable {
-            found = normal(false)?;
-        }
-        defocus = fitted_defocus(optic, channels, &found, share);
+    let share = found.share_of_amplitude(&likelihoods);
+    if is_fitted && share <= LEAST_SHARE {
+        found = normal(false)?;
     }
-    let disagreement = found.disagreement(&likelihoods);
+    let mut disagreement = found.disagreement(&likelihoods);
     let diversity_effect_nm = (!found.has_amplitude).then(|| {
         let each = likelihoods.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
         found.covariance.dot(&each.fold(Array1::zeros(count), |sum, one| sum + one))
     });
+    let with_step = WithStep::of(channels, names, &likelihoods, &found)?;
+    if let Some(with_step) = &with_step {
+        (found, disagreement) = (with_step.combined.clone(), with_step.disagreement);
+    }
+    // Channels that disagree by more than their noise are wrong by at least as much.
+    let of_modes = |all: &Array2<f64>| {
+        first.motions.removed_from(&all.slice(s![..count, ..count]).to_owned()) * disagreement.0.max(1.0)
+    };
     let mut coefficients_nm = found.solution.slice(s![..count]).to_vec();
     first.motions.remove(&mut coefficients_nm);
-    // Channels that disagree by more than their noise are wrong by at least as much.
-    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..count, ..count]).to_owned());
-    let covariance_nm2 = covariance_nm2 * disagreement.0.max(1.0);
-    let modes = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    let modes = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2: of_modes(&found.covariance) })?;
+    let left_out = with_step.map(|WithStep { step, groups, .. }| {
+        WithLeftOut::new(model, &groups, &step.found, 1.0, (modes.clone(), of_modes(&step.added)))
+    });
     Ok(JointEstimate {
         maps: StaticMaps::of_modes(model, &modes),
         sigma_maps: StaticMaps::of_error_bars(model, &modes),
         modes,
-        defocus,
-        left_out: None,
+        defocus: amplitude.and_then(|optic| fitted_defocus(optic, channels, &found, share)),
+        left_out,
         integers,
         diversity_effect_nm,
         disagreement,
@@ -312,6 +320,7 @@ fn fitted_defocus(optic: Optic, channels: &[ChannelFit], found: &Normal, share: 
 }
 
 /// Normal equations and their solution.
+#[derive(Clone)]
 struct Normal {
     /// Modes, and behind them δ where it is unknown.
     solution: Array1<f64>,

@@ -10,7 +10,7 @@ use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
-use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, last_zernike, priors};
+use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, has_one_camera, last_zernike, priors};
 use crate::scene::System;
 use ndarray::{Array1, Array2, ArrayView1, s};
 
@@ -145,15 +145,10 @@ impl GroupPosterior {
         let last = last_zernike([fitter.recipe.exact_zernikes, fitter.recipe.prior_zernikes]);
         let each = fitters.iter().map(|fitter| LeftOut::new(&fitter.model, last, &scene.tolerance, unit_nm));
         let each = each.collect::<Result<Vec<LeftOut>>>()?;
-        let camera = |fitter: &ModalFitter| {
-            let image = &fitter.scene.image;
-            (image.wavelength_nm, image.samples_per_lambda_over_d)
-        };
-        let has_one_camera = fitters.iter().all(|other| camera(other) == camera(fitter));
+        let has_one_camera = has_one_camera(fitters);
         let all = GroupEquations::new((group, best), fitters, &each, has_one_camera)?;
         let left_out = &each[0];
-        let cameras = if has_one_camera { &[String::new()][..] } else { names };
-        let groups = left_out.groups_of(cameras);
+        let groups = left_out.groups_of(if has_one_camera { &[] } else { names });
         let (mut at, mut at_modes) = (Array1::from(best.point.clone()), best.point[..modes].to_vec());
         fitter.motions.remove(&mut at_modes);
         at.slice_mut(s![..modes]).assign(&ArrayView1::from(&at_modes));

@@ -1,11 +1,12 @@
 //! Normal equations of images at their minima, by the fitted modes and by what was left out.
 
 use crate::imaging::LinearModel;
-use crate::modal::assess::fisher::{Sensitivity, null_floor};
+use crate::modal::assess::fisher::{Sensitivity, null_floor, pseudo_inverse};
+use crate::modal::assess::mean_residual::EXPLAINED;
 use crate::modal::assess::residual::photometry;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::left_out::{AMPLITUDE_UNIT, Equations, ILLUMINATIONS, LeftOut, Step, WithLeftOut, camera, priors};
+use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, camera, priors};
 use crate::modal::model::Model;
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
@@ -15,31 +16,34 @@ use rayon::prelude::*;
 
 impl LeftOut {
     /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
-    /// `likelihood` is their combination, and `noise_nm2` the part of its covariance that follows
-    /// from the images' noise.
+    /// `mean_residual_chi2` is the reduced χ² of their mean residual, `likelihood` their
+    /// combination, and `noise_nm2` the part of its covariance that follows
+    /// from the images' noise. Behind them those that would be found if nothing had been left out,
+    /// with the error bars of what χ² is then, and the equations.
     ///
     /// # Errors
     /// [`Error::Internal`] for values that are not finite.
     pub(in crate::modal) fn marginalised(
         &self,
         (model, motions): (&Model, &GlobalMotions),
-        images: &[(&PreparedFrame, &Minimum)],
+        (images, mean_residual_chi2): (&[(&PreparedFrame, &Minimum)], f64),
         likelihood: &CombinedModes,
         noise_nm2: &Array2<f64>,
-    ) -> Result<WithLeftOut> {
+    ) -> Result<(WithLeftOut, CombinedModes, OwnEquations)> {
         let NormalEquations { information, images: scores, chi2, freedom } = self.normal_equations(model, images)?;
         let square_snr: f64 = images.iter().map(|(_, minimum)| minimum.chi2.square_snr).sum();
+        let (information, pixels) = (information * square_snr, images[0].0.exposure.weight.len());
         let mut score = scores.iter().fold(Array1::zeros(information.nrows()), |sum, own| sum + own);
         // Each image is in its own minimum.
         let free = (0..self.fitted).filter(|mode| !self.tilts.contains(mode));
         free.for_each(|mode| score[mode] = 0.0);
         let equations = Equations {
-            information: &(information * square_snr),
+            information: &information,
             score: &score,
             fitted: &Array1::from(likelihood.coefficients_nm.clone()),
             tilts: self.tilts.clone(),
             precision: None,
-            floor: null_floor(score.len(), images.first().map_or(1, |(first, _)| first.exposure.weight.len())),
+            floor: null_floor(score.len(), pixels),
         };
         let step = Step::new(&equations, &priors(&self.groups))?;
         let change = &step.with_prior_change;
@@ -52,32 +56,41 @@ impl LeftOut {
             2.0 * change.dot(&with_prior(score)) - own_change * minimum.chi2.square_snr
         };
         let explained_chi2: Vec<f64> = scores.iter().zip(images).map(explained).collect();
-        // What is left of χ² scales the error bars.
-        let scale = ((chi2 - explained_chi2.iter().sum::<f64>()) / freedom).max(1.0);
+        // What is left of χ² scales the error bars, and so does that of the mean residual, of which
+        // what is common to all images explains as much as of all their residuals.
+        let explained: f64 = explained_chi2.iter().sum();
+        let mut scale = ((chi2 - explained) / freedom).max(1.0);
+        let left_of_mean = mean_residual_chi2 - explained / freedom * images.len() as f64;
+        if left_of_mean > EXPLAINED.max(scale) {
+            scale = left_of_mean;
+        }
         let mut coefficients_nm = (equations.fitted + &step.change).to_vec();
         motions.remove(&mut coefficients_nm);
         let added_nm2 = motions.removed_from(&step.added) * scale;
-        let noise_alone_nm2 = motions.removed_from(&step.noise) * scale;
-        let covariance_nm2 = &likelihood.covariance_nm2 - noise_nm2 + noise_alone_nm2 + &added_nm2;
-        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
+        let with_noise =
+            |noise: &Array2<f64>| &likelihood.covariance_nm2 - noise_nm2 + motions.removed_from(noise) * scale;
+        let modes = CombinedModes { coefficients_nm, covariance_nm2: with_noise(&step.noise) + &added_nm2 };
+        let own = equations.information.slice(s![..self.fitted, ..self.fitted]).to_owned();
+        let alone =
+            CombinedModes { covariance_nm2: with_noise(&pseudo_inverse(&own, equations.floor)?), ..likelihood.clone() };
         let found = WithLeftOut::new(model, &self.groups, &step.found, scale, (modes, added_nm2));
-        Ok(WithLeftOut { explained_chi2, ..found })
+        let own = OwnEquations { information, score, scale, pixels };
+        Ok((WithLeftOut { explained_chi2, ..found }, alone, own))
     }
 
     /// Change of the PSF by one unit of each unknown that is no mode.
     fn further(&self, model: &Model, linear: &LinearModel) -> Vec<Array1<f64>> {
-        let mut columns = Vec::new();
-        if let Some(patterns) = &self.illumination {
-            let amplitudes = linear.by_amplitudes();
-            columns.extend(amplitudes.outer_iter().map(|column| column.to_owned() * AMPLITUDE_UNIT));
-            let illumination = patterns.dot(&amplitudes);
-            let slopes = illumination.outer_iter().map(|column| column.to_owned());
-            columns.extend(in_tolerances(slopes.zip([self.tolerance.illumination_fraction; ILLUMINATIONS.len()])));
-        }
+        let of_amplitudes = self.amplitudes.as_ref().map(|amounts| amounts.dot(&linear.by_amplitudes()));
+        let rows = of_amplitudes.iter().flat_map(|columns| columns.outer_iter()).map(|column| column.to_owned());
+        rows.chain(self.camera(model, linear)).collect()
+    }
+
+    /// Change of the PSF by one unit of each error of the camera.
+    fn camera(&self, model: &Model, linear: &LinearModel) -> impl Iterator<Item = Array1<f64>> {
         let native = model.preparation.native_pixels().sqrt();
-        let camera = camera::columns(linear.psf(), linear.pixels(), native).into_iter();
-        columns.extend(in_tolerances(camera.zip(camera::errors(&self.tolerance).map(|(_, tolerance)| tolerance))));
-        columns
+        let columns = camera::columns(linear.psf(), linear.pixels(), native).into_iter();
+        let known = columns.zip(camera::errors(&self.tolerance)).filter(|(_, (_, tolerance))| *tolerance > 0.0);
+        known.map(|(column, (_, tolerance))| column * tolerance)
     }
 
     /// The normal equations of images of one scene at their minima: the fitted modes, then what was
@@ -112,22 +125,22 @@ impl LeftOut {
         has_information: bool,
     ) -> Result<(Array1<f64>, Option<Array2<f64>>)> {
         let (chain, exposure) = (&self.chain, &prepared.exposure);
-        let (mut loaded, mut scratch, mut evaluation) = (chain.empty_image(), chain.scratch(), chain.evaluation());
         let mut at = Array1::<f64>::zeros(self.modes);
         at.slice_mut(s![..minimum.coefficients_nm.len()]).assign(&ArrayView1::from(&minimum.coefficients_nm));
-        chain.set(&mut loaded, exposure)?;
-        chain.evaluate_one(&loaded, at.view(), &mut scratch, &mut evaluation);
-        let linear = chain.linearise(at.view());
-        let further = self.further(model, &linear);
+        let mut linear = chain.linearise(at.view()).with_figures(&self.figures);
         let (flux_e, background_e) = photometry(exposure, linear.psf());
         let weighted: Array1<f64> = (linear.psf().iter().zip(&exposure.data_e).zip(&exposure.weight))
-            .map(|((psf, data), weight)| weight * (data - flux_e * psf - background_e))
+            .map(|((psf, data), weight)| flux_e * weight * (data - flux_e * psf - background_e))
             .collect();
-        let of_modes = evaluation.gradient.iter().map(|slope| -0.5 * slope);
-        let score = of_modes.chain(further.iter().map(|column| flux_e * column.dot(&weighted))).collect();
+        let [of_modes, of_amplitudes] = linear.products(weighted.as_slice().unwrap_or_default()).map(Array1::from);
+        let mut score = of_modes.to_vec();
+        score.extend(self.amplitudes.iter().flat_map(|amounts| amounts.dot(&of_amplitudes)));
+        score.extend(self.camera(model, &linear).map(|column| column.dot(&weighted)));
+        let score = Array1::from(score);
         let information = has_information.then(|| {
             let weights = (exposure.weight.as_slice(), None);
             let bytes = model.tiles().derivative_bytes;
+            let further = self.further(model, &linear);
             let own = Sensitivity::of(&linear, &further, flux_e, weights, exposure.photometry, bytes).fisher;
             (&own + &own.t()) * (0.5 / minimum.chi2.square_snr)
         });
@@ -135,9 +148,17 @@ impl LeftOut {
     }
 }
 
-/// Columns in units of their tolerances; those that are exact are none.
-fn in_tolerances(columns: impl Iterator<Item = (Array1<f64>, f64)>) -> impl Iterator<Item = Array1<f64>> {
-    columns.filter(|(_, tolerance)| *tolerance > 0.0).map(|(column, tolerance)| column * tolerance)
+/// Normal equations of the images of a channel at their minima: the fitted modes, then what was
+/// left out.
+#[derive(Debug, Clone)]
+pub(in crate::modal) struct OwnEquations {
+    pub(in crate::modal) information: Array2<f64>,
+    /// −½ of the gradient, 0 by the fitted modes.
+    pub(in crate::modal) score: Array1<f64>,
+    /// Variances over those of the noise.
+    pub(in crate::modal) scale: f64,
+    /// Pixels of an image.
+    pub(in crate::modal) pixels: usize,
 }
 
 /// Normal equations of images of one scene at their minima.

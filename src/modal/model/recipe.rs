@@ -96,7 +96,7 @@ impl Recipe {
             least_pass_cycles: 0.0,
             exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(EXACT) } else { NollRange::None },
             prior_zernikes: NollRange::None,
-            marginalise: has_noise && estimate.posterior,
+            marginalise: false,
             // BFGS needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
             // The paper's objective is used where the modes do not span the wavefront: this
@@ -118,10 +118,13 @@ impl Recipe {
     /// [`Recipe::from_scene`] with a prior on further Zernikes, those of radial orders 6 to 8,
     /// where the scene leaves the exact Zernikes open: a χ² does not show modes that are small in
     /// one image and large in the mean of forty, and error bars without them would be too small.
+    /// What these modes leave out is marginalised as `scene` says, where the weights are the
+    /// noise's.
     pub fn with_prior(scene: &System) -> Self {
         let own = Self::from_scene(scene);
         let is_open = scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none();
         let prior_zernikes = if is_open { WITH_PRIOR } else { NollRange::None };
-        Self { prior_zernikes, ..own }
+        let marginalise = own.weighting == Weighting::Noise && scene.estimate.posterior;
+        Self { prior_zernikes, marginalise, ..own }
     }
 }
