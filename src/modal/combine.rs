@@ -10,6 +10,7 @@ pub(in crate::modal) mod joint;
 pub(in crate::modal) mod pistons;
 pub(in crate::modal) mod sequence;
 pub(in crate::modal) mod single_image;
+pub(in crate::modal) mod staircases;
 pub(in crate::modal) mod static_maps;
 
 use super::fitter::ModalFitter;

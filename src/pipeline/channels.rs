@@ -2,7 +2,7 @@
 //! combined.
 
 use super::consistency::Electrons;
-use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
+use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run, WithoutStaircases};
 use super::explain::explain;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
@@ -254,12 +254,16 @@ pub(super) fn combined(
     }
     let left_out = found.left_out.as_ref();
     let sigma_nm = errors.with_left_out_nm(&found.modes.covariance_nm2, left_out)?;
+    let figures = Figures::new(&first.pupil, &found.maps, sigma_nm)?;
+    let without_staircases = WithoutStaircases::of((&errors, own.fitter.model()), &found.modes, left_out, &figures)?;
+    let of_staircases = without_staircases.as_ref().map(|without| without.remark(&figures));
     Ok(Estimate {
         // The scene as given, with its channels.
         scene: scene.clone(),
         policy: first.policy,
         basis: first.basis.clone(),
-        figures: Figures::new(&first.pupil, &found.maps, sigma_nm)?,
+        figures,
+        without_staircases,
         pupil: first.pupil.clone(),
         error_budget,
         model_errors: left_out.map(|left_out| left_out.errors.clone()).unwrap_or_default(),
@@ -270,7 +274,7 @@ pub(super) fn combined(
         model: first.model.clone(),
         optics: optics(&found, &names, &each),
         warnings: warnings(&found, &names, &each),
-        remarks: remarks(&found, &errors, &each)?,
+        remarks: of_staircases.into_iter().chain(remarks(&found, &errors, &each)?).collect(),
         run: Run { seconds: sum(|run| run.seconds), model_seconds: sum(|run| run.model_seconds), ..first.run.clone() },
         channels: names,
         modes: found.modes,

@@ -44,6 +44,9 @@ pub struct Estimate {
     /// Errors of the optics and the camera that the error bars hold; none without
     /// `estimate.posterior`.
     pub model_errors: Vec<ModelError>,
+    /// What is known apart from focus and astigmatisms of the whole pupil; `None` where the images
+    /// divide these among segments and NCPA, and without `estimate.posterior`.
+    pub without_staircases: Option<WithoutStaircases>,
     /// Outcome of each image, in order.
     pub images: Vec<ImageOutcome>,
     /// Names of the channels whose images it is from, in order; none for a scene with one way of
@@ -128,6 +131,18 @@ pub struct Figures {
     pub ncpa: Figure,
     /// Of the sum of both; its error bar is NaN in a MAP estimate, which does not compute it.
     pub wavefront: Figure,
+}
+
+/// An estimate without focus and astigmatisms of the whole pupil.
+#[derive(Debug, Clone)]
+pub struct WithoutStaircases {
+    /// RMS of the maps over the pupil.
+    pub figures: Figures,
+    /// Segment errors without the staircases that segments make of the three shapes, and NCPA
+    /// without these.
+    pub maps: StaticMaps,
+    /// Error bars of the maps.
+    pub sigma_maps: StaticMaps,
 }
 
 /// Where an estimate ran, and how long.

@@ -69,12 +69,17 @@ fn cards(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
 fn maps(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let grid_m = estimate.pupil.grid.width_m();
     let truth = estimate.truth.as_ref().map(|(truth, _)| truth);
+    let without = estimate.without_staircases.as_ref();
     let maps = [
         ("PHASING", Some(&estimate.maps.phasing_nm)),
         ("NCPA", Some(&estimate.maps.ncpa_nm)),
         ("WAVEFRONT", Some(&estimate.maps.wavefront_nm())),
         ("PHASING_SIGMA", Some(&estimate.sigma_maps.phasing_nm)),
         ("NCPA_SIGMA", Some(&estimate.sigma_maps.ncpa_nm)),
+        ("PHASING_WITHOUT_STAIRCASES", without.map(|without| &without.maps.phasing_nm)),
+        ("NCPA_WITHOUT_STAIRCASES", without.map(|without| &without.maps.ncpa_nm)),
+        ("PHASING_WITHOUT_STAIRCASES_SIGMA", without.map(|without| &without.sigma_maps.phasing_nm)),
+        ("NCPA_WITHOUT_STAIRCASES_SIGMA", without.map(|without| &without.sigma_maps.ncpa_nm)),
         ("TRUTH_PHASING", truth.map(|truth| &truth.phasing_nm)),
         ("TRUTH_NCPA", truth.map(|truth| &truth.ncpa_nm)),
     ];

@@ -175,6 +175,7 @@ pub(super) fn estimate(
         sigma_maps: last.sigma_maps.clone(),
         error_budget: last.error_budget.terms.iter().filter(contributes).cloned().collect(),
         model_errors: Vec::new(),
+        without_staircases: None,
         images: outcomes,
         reduced_chi2: last.reduced_chi2,
         is_sequence: true,

@@ -47,6 +47,7 @@ mod residual_shape;
 mod scene_files;
 mod sequence;
 mod sequence_channel;
+mod staircases;
 mod telemetry;
 mod warnings;
 
@@ -58,6 +59,7 @@ pub use crate::statics::{ErrorBudget, ErrorTerm, Iteration, NcpaFamily, SegmentT
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
 pub use estimate::{
     Basis, Comparison, Estimate, Figure, Figures, FullPhaseSummary, MethodResult, ModalSummary, OpticalParameter, Run,
+    WithoutStaircases,
 };
 pub use estimator::Estimator;
 pub use foreign_truth::{ForeignComparison, ForeignTruth};

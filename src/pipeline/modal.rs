@@ -1,7 +1,7 @@
 //! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and
 //! remarks.
 
-use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run};
+use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run, WithoutStaircases};
 use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
@@ -25,7 +25,11 @@ impl Fitted {
         let errors = ExpectedErrors::new(model)?;
         let pupil = model.telescope.pupil.clone();
         let sigma_nm = errors.with_left_out_nm(&found.combined.modes.covariance_nm2, found.left_out())?;
+        let figures = Figures::new(&pupil, &found.combined.maps, sigma_nm)?;
+        let without_staircases =
+            WithoutStaircases::of((&errors, model), &found.combined.modes, found.left_out(), &figures)?;
         let remarks = [
+            without_staircases.as_ref().map(|without| without.remark(&figures)),
             found.left_out().map(remarks::left_out_remark),
             selected.as_ref().map(|selected| selected.remark.clone()),
             remarks::diversity_remark(&diversity, &scene),
@@ -44,7 +48,8 @@ impl Fitted {
         Ok(Estimate {
             policy: *policy,
             basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
-            figures: Figures::new(&pupil, &found.combined.maps, sigma_nm)?,
+            figures,
+            without_staircases,
             error_budget: error_budget(&errors, &fitter, &found)?,
             model_errors: found.left_out().map(|left_out| left_out.errors.clone()).unwrap_or_default(),
             images: outcomes.collect(),

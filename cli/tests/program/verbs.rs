@@ -69,6 +69,7 @@ fn image_estimate_compare() {
         "ncpa_residual_nm",
         "error_budget",
         "model_errors",
+        "without_staircases",
     ];
     promised.sort();
     assert_eq!(keys(&json), promised);

@@ -11,6 +11,7 @@ use crate::modes::{Basis, Direction};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayViewMut1, Axis, s};
+use std::ops::Range;
 
 /// Share of tip or tilt (RMS) outside the modes of the NCPA up to which they span it. The basis is
 /// exact to rounding.
@@ -77,17 +78,47 @@ impl GlobalMotions {
         Ok(Self { amounts: padded(&own.amounts), motions: padded(&own.motions) })
     }
 
+    /// Shapes by their coefficients, which are 0 but for the modes in `range`: in that order, made
+    /// orthonormal by the products `gram` of the modes.
+    ///
+    /// # Errors
+    /// [`Error::Internal`] for shapes of another number of modes.
+    pub(in crate::modal) fn of_shapes(
+        shapes: Vec<Array1<f64>>,
+        gram: &Array2<f64>,
+        range: Range<usize>,
+    ) -> Result<Self> {
+        let none = || Array2::zeros((0, gram.nrows()));
+        let mut own = Self { amounts: none(), motions: none() };
+        for mut shape in shapes {
+            own.remove(shape.as_slice_mut().unwrap_or_default());
+            let products = gram.dot(&shape);
+            let norm = shape.dot(&products).max(0.0).sqrt();
+            if norm == 0.0 {
+                continue;
+            }
+            let mut amount = Array1::zeros(shape.len());
+            amount.slice_mut(s![range.clone()]).assign(&products.slice(s![range.clone()]));
+            own.push(&(amount / norm), &(shape / norm))?;
+        }
+        Ok(own)
+    }
+
+    fn push(&mut self, amount: &Array1<f64>, motion: &Array1<f64>) -> Result<()> {
+        let pushed = self.amounts.push(Axis(0), amount.view()).and(self.motions.push(Axis(0), motion.view()));
+        pushed.map_err(|error| Error::Internal(format!("the motions of the mirror: {error}")))
+    }
+
     /// Collects motions, and what of them is in the first `segment_modes` modes of `basis`.
     fn of(found: &[Motion], weight: &Array2<f64>, basis: &Basis, segment_modes: usize) -> Result<Self> {
         let none = || Array2::zeros((0, basis.len()));
-        let (mut amounts, mut motions) = (none(), none());
+        let mut own = Self { amounts: none(), motions: none() };
         for motion in found {
             let mut amount = Array1::from(basis.along(&(&motion.map * weight))?);
             amount.slice_mut(s![segment_modes..]).fill(0.0);
-            let pushed = amounts.push(Axis(0), amount.view()).and(motions.push(Axis(0), motion.coefficients.view()));
-            pushed.map_err(|error| Error::Internal(format!("the motions of the mirror: {error}")))?;
+            own.push(&amount, &motion.coefficients)?;
         }
-        Ok(Self { amounts, motions })
+        Ok(own)
     }
 
     /// Removes the motions from coefficients. Allocates nothing.

@@ -48,7 +48,8 @@ images together), device, precision, status (the worst of the images': ok, misfi
 unusable; contradictory where the images are of several wavefronts), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
 iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts), \
 error_budget (name, phasing_nm and ncpa_nm of each term), model_errors (with estimate.posterior: name, value, sigma, tolerance and \
-significance of each error of the optics and the camera); null where a key does not apply.";
+significance of each error of the optics and the camera), without_staircases (phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm and \
+ncpa_sigma_nm without the shapes of the whole mirror that a tolerance alone divides among both); null where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]

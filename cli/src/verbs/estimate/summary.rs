@@ -1,6 +1,6 @@
 //! The figures of `cophase estimate --json`.
 
-use cophase::pipeline::{ErrorTerm, Estimate, ModelError};
+use cophase::pipeline::{ErrorTerm, Estimate, ModelError, WithoutStaircases};
 use serde::Serialize;
 
 /// What `estimate --json` prints; scripts rely on these keys.
@@ -33,6 +33,16 @@ pub(super) struct Summary<'a> {
     telemetry_correlation: Option<f64>,
     error_budget: Vec<BudgetTerm<'a>>,
     model_errors: Vec<ErrorOfModel<'a>>,
+    without_staircases: Option<Apart>,
+}
+
+/// Phasing and NCPA without focus and astigmatisms of the whole pupil.
+#[derive(Serialize)]
+struct Apart {
+    phasing_rms_nm: f64,
+    ncpa_rms_nm: f64,
+    phasing_sigma_nm: f64,
+    ncpa_sigma_nm: f64,
 }
 
 #[derive(Serialize)]
@@ -49,6 +59,18 @@ struct ErrorOfModel<'a> {
     sigma: f64,
     tolerance: f64,
     significance: f64,
+}
+
+impl From<&WithoutStaircases> for Apart {
+    fn from(without: &WithoutStaircases) -> Self {
+        let [phasing, ncpa] = [without.figures.phasing, without.figures.ncpa];
+        Self {
+            phasing_rms_nm: phasing.rms_nm,
+            ncpa_rms_nm: ncpa.rms_nm,
+            phasing_sigma_nm: phasing.sigma_nm,
+            ncpa_sigma_nm: ncpa.sigma_nm,
+        }
+    }
 }
 
 impl<'a> From<&'a ErrorTerm> for BudgetTerm<'a> {
@@ -97,6 +119,7 @@ impl<'a> Summary<'a> {
             telemetry_correlation: telemetry.map(|check| check.correlation),
             error_budget: estimate.error_budget.iter().map(BudgetTerm::from).collect(),
             model_errors: estimate.model_errors.iter().map(ErrorOfModel::from).collect(),
+            without_staircases: estimate.without_staircases.as_ref().map(Apart::from),
         }
     }
 }

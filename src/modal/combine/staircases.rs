@@ -1,0 +1,61 @@
+//! Phasing and NCPA without the shapes of the whole mirror that images do not divide among the two.
+//!
+//! A focus or an astigmatism that all segments share is the same wavefront as one of the whole
+//! pupil less a staircase of pistons, tips and tilts of the segments. So where segments have tips
+//! and tilts, how much of these three shapes is a staircase and how much is NCPA rests on how well
+//! the figure is known; their sum, and all other shapes, do not.
+
+use crate::Result;
+use crate::metrics::MapGram;
+use crate::modal::combine::combined_modes::CombinedModes;
+use crate::modal::combine::diversity_error::ModeProjector;
+use crate::modal::combine::global_motions::GlobalMotions;
+use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::model::Model;
+use ndarray::{Array1, Array2};
+
+/// An estimate without focus and astigmatisms of the whole pupil: without staircases in the
+/// segments, and without the smooth ones in the NCPA.
+pub(crate) struct WithoutStaircases {
+    pub(crate) modes: CombinedModes,
+    pub(crate) maps: StaticMaps,
+    pub(crate) sigma_maps: StaticMaps,
+}
+
+impl WithoutStaircases {
+    /// That of `modes`; `None` where segments have no tips and tilts, or there are no NCPA.
+    ///
+    /// # Errors
+    /// Those of [`ModeProjector::new`].
+    pub(crate) fn new(model: &Model, modes: &CombinedModes) -> Result<Option<Self>> {
+        let (basis, pupil, segments) = (&model.basis, &model.telescope.pupil, model.segment_modes);
+        if model.pistons() == 0 || segments == model.pistons() || segments == basis.len() {
+            return Ok(None);
+        }
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let (squares, gram) = (basis.mean_squares(&pupil.amplitude)?, MapGram::of_basis(pupil, basis)?);
+        let projector = ModeProjector::new(pupil, basis, segments)?;
+        let (mut staircases, mut smooth) = (Vec::new(), Vec::new());
+        for kind in 0..3 {
+            let map = Array2::from_shape_fn(weight.dim(), |(y, x)| {
+                let [x, y] = [x, y].map(|at| pupil.grid.coordinate_m(at));
+                [x * x + y * y, x * x - y * y, 2.0 * x * y][kind]
+            });
+            // Piston, tip and tilt of a segment are orthogonal.
+            let along = basis.along(&(&map * &weight))?;
+            let share = |mode: usize| if squares[mode] > 0.0 { along[mode] / squares[mode] } else { 0.0 };
+            let is_its = |mode: usize| if mode < segments { share(mode) } else { 0.0 };
+            staircases.push(Array1::from_shape_fn(basis.len(), is_its));
+            smooth.push(projector.project(basis, &map)?.coefficients_nm);
+        }
+        let staircases = GlobalMotions::of_shapes(staircases, gram.products(), 0..segments)?;
+        let smooth = GlobalMotions::of_shapes(smooth, gram.products(), segments..basis.len())?;
+        let mut coefficients_nm = modes.coefficients_nm.clone();
+        staircases.remove(&mut coefficients_nm);
+        smooth.remove(&mut coefficients_nm);
+        let covariance_nm2 = smooth.removed_from(&staircases.removed_from(&modes.covariance_nm2));
+        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
+        let (maps, sigma_maps) = (StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes));
+        Ok(Some(Self { modes, maps, sigma_maps }))
+    }
+}

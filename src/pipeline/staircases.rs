@@ -1,0 +1,44 @@
+//! Phasing and NCPA without the shapes of the whole mirror that only a tolerance divides among the
+//! two: see [`crate::modal::WithoutStaircases`].
+
+use super::estimate::{Figures, WithoutStaircases};
+use super::modal::ExpectedErrors;
+use crate::Result;
+use crate::modal::{self, CombinedModes, Model, WithLeftOut};
+
+/// How many times the error bar of the phasing without these shapes that with them is, from which
+/// both are given.
+const REMARKABLE: f64 = 1.5;
+
+impl WithoutStaircases {
+    /// That of an estimate with these `modes` and `figures`; `None` where the images divide the
+    /// three shapes.
+    ///
+    /// # Errors
+    /// Those of the maps.
+    pub(super) fn of(
+        (errors, model): (&ExpectedErrors, &Model),
+        modes: &CombinedModes,
+        left_out: Option<&WithLeftOut>,
+        figures: &Figures,
+    ) -> Result<Option<Self>> {
+        let Some(left_out) = left_out else { return Ok(None) };
+        let Some(found) = modal::WithoutStaircases::new(model, modes)? else { return Ok(None) };
+        let modal::WithoutStaircases { modes, maps, sigma_maps } = found;
+        let sigma_nm = errors.with_left_out_nm(&modes.covariance_nm2, Some(left_out))?;
+        let without = Figures::new(&model.telescope.pupil, &maps, sigma_nm)?;
+        let is_open = figures.phasing.sigma_nm > REMARKABLE * without.phasing.sigma_nm;
+        Ok(is_open.then_some(Self { figures: without, maps, sigma_maps }))
+    }
+
+    /// What a user should know, where the estimate with the shapes has these `figures`.
+    pub(super) fn remark(&self, figures: &Figures) -> String {
+        let Figures { phasing, ncpa, .. } = self.figures;
+        format!(
+            "How focus and astigmatism of the whole pupil divide among segments and NCPA rests on tolerance.common_figure_nm: a figure that \
+             all segments share is the same wavefront as a staircase of their pistons, tips and tilts and a smooth shape. Without these three \
+             shapes the phasing is {:.2} ± {:.2} nm and the NCPA {:.2} ± {:.2} nm; the sum with them, the wavefront, is known to {:.2} nm.",
+            phasing.rms_nm, phasing.sigma_nm, ncpa.rms_nm, ncpa.sigma_nm, figures.wavefront.sigma_nm
+        )
+    }
+}
