@@ -39,7 +39,7 @@ pub(in crate::modal) use equations::OwnEquations;
 pub(in crate::modal) use groups::{Group, priors};
 pub use result::ModelError;
 pub(crate) use result::{LeftOutTerm, WithLeftOut};
-pub(in crate::modal) use step::{Equations, Step};
+pub(in crate::modal) use step::{Equations, SAME, Step};
 
 /// Last Zernike, in Noll's order, that is marginalised where the fit ends before it.
 const LAST_ZERNIKE: usize = 91;

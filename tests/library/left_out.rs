@@ -238,7 +238,7 @@ fn a_channel_alone_is_an_image_without_channels() {
         let images = Images::simulated_channels(&scene).unwrap();
         Estimator::new(&scene).unwrap().estimate(&images).unwrap()
     });
-    // Variances are scaled by χ², 1.01 here, before the step in one and after it in the other.
+    // The combination of channels goes by the inverse of a covariance, and to a step of its own.
     for (one, other) in [
         (one.figures.phasing, other.figures.phasing),
         (one.figures.ncpa, other.figures.ncpa),
@@ -266,7 +266,8 @@ fn what_a_common_figure_leaves_open_is_given_apart() {
     let [wide_nm, narrow_nm] = [&open, &known].map(|found| found.figures.phasing.sigma_nm);
     let apart = open.without_staircases.as_ref().unwrap();
     assert!(wide_nm > 4.0 * narrow_nm, "{wide_nm} {narrow_nm}");
-    assert!(apart.figures.phasing.sigma_nm < 1.1 * narrow_nm, "{:?} {narrow_nm}", apart.figures);
+    // The figure itself, which the images and the tilts' prior leave uncertain by 0.6 nm, is in no map.
+    assert!(apart.figures.phasing.sigma_nm < 1.5 * narrow_nm, "{:?} {narrow_nm}", apart.figures);
     assert!(open.figures.wavefront.sigma_nm < 2.0 * narrow_nm, "{:?}", open.figures);
     let pupil = &open.pupil;
     let segments = Array2::from_shape_fn(pupil.owner.dim(), |at| pupil.owner[at]);

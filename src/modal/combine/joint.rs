@@ -181,7 +181,7 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
     first.motions.remove(&mut coefficients_nm);
     let modes = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2: of_modes(&found.covariance) })?;
     let left_out = with_step.map(|WithStep { step, groups, .. }| {
-        WithLeftOut::new(model, &groups, &step.found, 1.0, (modes.clone(), of_modes(&step.added)))
+        WithLeftOut::new(model, &groups, &step.found, (modes.clone(), of_modes(&step.added)))
     });
     Ok(JointEstimate {
         maps: StaticMaps::of_modes(model, &modes),

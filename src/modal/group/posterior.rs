@@ -10,12 +10,9 @@ use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
-use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, has_one_camera, last_zernike, priors};
+use crate::modal::left_out::{Equations, LeftOut, SAME, Step, WithLeftOut, has_one_camera, last_zernike, priors};
 use crate::scene::System;
 use ndarray::{Array1, Array2, ArrayView1, s};
-
-/// Relative change of the images' inflation up to which another step would find the same.
-const SAME: f64 = 0.05;
 
 /// The modes of a group with what they leave out.
 pub(super) struct GroupPosterior {
@@ -181,7 +178,7 @@ impl GroupPosterior {
             let mut coefficients_nm = (&at + &step.change).slice(s![..modes]).to_vec();
             fitter.motions.remove(&mut coefficients_nm);
             let combined = CombinedModes { coefficients_nm, covariance_nm2: noise_nm2 + &added_nm2 };
-            let left_out = WithLeftOut::new(&fitter.model, &groups, &step.found, 1.0, (combined, added_nm2));
+            let left_out = WithLeftOut::new(&fitter.model, &groups, &step.found, (combined, added_nm2));
             return Ok(Self { left_out: WithLeftOut { explained_chi2, ..left_out }, consistency, amplitude });
         }
         unreachable!("the second step is the last")

@@ -6,7 +6,7 @@ use crate::modal::assess::mean_residual::EXPLAINED;
 use crate::modal::assess::residual::photometry;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::left_out::{Equations, LeftOut, Step, WithLeftOut, camera, priors};
+use crate::modal::left_out::{Equations, LeftOut, SAME, Step, WithLeftOut, camera, priors};
 use crate::modal::model::Model;
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
@@ -37,25 +37,32 @@ impl LeftOut {
         // Each image is in its own minimum.
         let free = (0..self.fitted).filter(|mode| !self.tilts.contains(mode));
         free.for_each(|mode| score[mode] = 0.0);
-        let equations = Equations {
-            information: &information,
-            score: &score,
-            fitted: &Array1::from(likelihood.coefficients_nm.clone()),
-            tilts: self.tilts.clone(),
-            precision: None,
-            floor: null_floor(score.len(), pixels),
-        };
-        let step = Step::new(&equations, &priors(&self.groups))?;
-        let change = &step.with_prior_change;
-        let own_change = change.dot(&step.left.dot(change)) / square_snr;
+        let at = Array1::from(likelihood.coefficients_nm.clone());
+        let floor = null_floor(score.len(), pixels);
         let with_prior = |score: &Array1<f64>| {
             let ends = [s![self.tilts.clone()], s![self.fitted..]].map(|part| score.slice(part));
             concatenate(Axis(0), &ends).unwrap_or_default()
         };
-        let explained = |(score, (_, minimum)): (&Array1<f64>, &(&PreparedFrame, &Minimum))| {
-            2.0 * change.dot(&with_prior(score)) - own_change * minimum.chi2.square_snr
+        // Where variances are `scale` times those of the noise.
+        let step_of = |scale: f64| -> Result<(Step, Vec<f64>)> {
+            let equations = Equations {
+                information: &(&information / scale),
+                score: &(&score / scale),
+                fitted: &at,
+                tilts: self.tilts.clone(),
+                precision: None,
+                floor,
+            };
+            let step = Step::new(&equations, &priors(&self.groups))?;
+            let change = &step.with_prior_change;
+            let own_change = scale * change.dot(&step.left.dot(change)) / square_snr;
+            let explained = |(score, (_, minimum)): (&Array1<f64>, &(&PreparedFrame, &Minimum))| {
+                2.0 * change.dot(&with_prior(score)) - own_change * minimum.chi2.square_snr
+            };
+            let explained_chi2 = scores.iter().zip(images).map(explained).collect();
+            Ok((step, explained_chi2))
         };
-        let explained_chi2: Vec<f64> = scores.iter().zip(images).map(explained).collect();
+        let (mut step, mut explained_chi2) = step_of(1.0)?;
         // What is left of χ² scales the error bars, and so does that of the mean residual, of which
         // what is common to all images explains as much as of all their residuals.
         let explained: f64 = explained_chi2.iter().sum();
@@ -64,16 +71,19 @@ impl LeftOut {
         if left_of_mean > EXPLAINED.max(scale) {
             scale = left_of_mean;
         }
-        let mut coefficients_nm = (equations.fitted + &step.change).to_vec();
+        if scale > 1.0 + SAME {
+            (step, explained_chi2) = step_of(scale)?;
+        } else {
+            scale = 1.0;
+        }
+        let mut coefficients_nm = (&at + &step.change).to_vec();
         motions.remove(&mut coefficients_nm);
-        let added_nm2 = motions.removed_from(&step.added) * scale;
-        let with_noise =
-            |noise: &Array2<f64>| &likelihood.covariance_nm2 - noise_nm2 + motions.removed_from(noise) * scale;
+        let added_nm2 = motions.removed_from(&step.added);
+        let with_noise = |noise: &Array2<f64>| &likelihood.covariance_nm2 - noise_nm2 + motions.removed_from(noise);
         let modes = CombinedModes { coefficients_nm, covariance_nm2: with_noise(&step.noise) + &added_nm2 };
-        let own = equations.information.slice(s![..self.fitted, ..self.fitted]).to_owned();
-        let alone =
-            CombinedModes { covariance_nm2: with_noise(&pseudo_inverse(&own, equations.floor)?), ..likelihood.clone() };
-        let found = WithLeftOut::new(model, &self.groups, &step.found, scale, (modes, added_nm2));
+        let own = information.slice(s![..self.fitted, ..self.fitted]).to_owned() / scale;
+        let alone = CombinedModes { covariance_nm2: with_noise(&pseudo_inverse(&own, floor)?), ..likelihood.clone() };
+        let found = WithLeftOut::new(model, &self.groups, &step.found, (modes, added_nm2));
         let own = OwnEquations { information, score, scale, pixels };
         Ok((WithLeftOut { explained_chi2, ..found }, alone, own))
     }

@@ -49,18 +49,16 @@ impl WithLeftOut {
     }
 
     /// `modes`, in which what was left out has the posterior `found`, and adds `added_nm2`.
-    /// Variances are `scale` times those of the noise.
     pub(in crate::modal) fn new(
         model: &Model,
         groups: &[Group],
         found: &Posterior,
-        scale: f64,
         (modes, added_nm2): (CombinedModes, Array2<f64>),
     ) -> Self {
         let (mut terms, mut errors) = (Vec::new(), Vec::new());
         for (group, &rms) in groups.iter().zip(&found.prior_rms_nm) {
             match group.of {
-                Of::Tolerance(tolerance) => errors.push(group.error(tolerance, found, scale)),
+                Of::Tolerance(tolerance) => errors.push(group.error(tolerance, found)),
                 Of::Amplitudes => {
                     terms.push(LeftOutTerm { name: group.name.clone(), size: 100.0 * AMPLITUDE_UNIT * rms, unit: "%" })
                 }
@@ -121,9 +119,8 @@ pub(crate) struct LeftOutTerm {
 }
 
 impl Group {
-    /// The error that this group is of, whose prior standard deviation is `tolerance`. Variances
-    /// are `scale` times those of the noise.
-    fn error(&self, tolerance: f64, found: &Posterior, scale: f64) -> ModelError {
+    /// The error that this group is of, whose prior standard deviation is `tolerance`.
+    fn error(&self, tolerance: f64, found: &Posterior) -> ModelError {
         let place = self.columns.start;
         let (value, variance) = (found.coefficients_nm[place], found.covariance_nm2[[place, place]]);
         // Without the prior of variance 1: 1/variance = 1/own + 1, value/variance = seen/own.
@@ -131,9 +128,9 @@ impl Group {
         ModelError {
             name: self.name.clone(),
             value: value * tolerance,
-            sigma: (variance * scale).sqrt() * tolerance,
+            sigma: variance.sqrt() * tolerance,
             tolerance,
-            significance: value / variance * (own / scale).sqrt(),
+            significance: value / variance * own.sqrt(),
         }
     }
 }

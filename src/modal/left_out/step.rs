@@ -6,6 +6,9 @@ use crate::modal::assess::fisher::pseudo_inverse;
 use ndarray::{Array1, Array2, Axis};
 use std::ops::Range;
 
+/// Relative change of variances up to which another step would find the same.
+pub(in crate::modal) const SAME: f64 = 0.05;
+
 /// Normal equations of images about the point of their fit: the unknowns of the fit come first,
 /// those that it left out, which are 0, follow.
 pub(in crate::modal) struct Equations<'a> {
