@@ -96,11 +96,6 @@ impl MapGram {
         planes
     }
 
-    /// G, `[mode, mode]`.
-    pub(crate) fn products(&self) -> &Array2<f64> {
-        &self.products
-    }
-
     /// √(trace of G·C), nm: the root mean square residual of an estimate whose coefficients have
     /// the covariance C = `covariance_nm2`, `[mode, mode]`, about the truth.
     ///

@@ -24,11 +24,10 @@ mod step;
 use crate::empirical_bayes::VarianceRule;
 use crate::grid::Grid;
 use crate::imaging::{CpuChain, Mode, Optics, OpticsParts, SegmentFigure};
-use crate::modal::fitter::ModalFitter;
 use crate::modal::model::{Model, slopes};
 use crate::modes::{TiltFrame, circle_zernikes, tilt_frames};
 use crate::pupil::Pupil;
-use crate::scene::{NollRange, ToleranceScene};
+use crate::scene::{ImageScene, NollRange, ToleranceScene};
 use crate::{Error, Result};
 use groups::{Columns, Of};
 use ndarray::{Array2, ArrayView1, Axis, concatenate};
@@ -203,19 +202,15 @@ impl LeftOut {
 }
 
 /// Whether all channels have one camera: one wavelength and one sampling.
-pub(in crate::modal) fn has_one_camera<'a>(fitters: impl IntoIterator<Item = &'a ModalFitter>) -> bool {
-    let camera = |fitter: &ModalFitter| {
-        let image = &fitter.scene.image;
-        (image.wavelength_nm, image.samples_per_lambda_over_d)
-    };
-    let mut cameras = fitters.into_iter().map(camera);
+pub(in crate::modal) fn has_one_camera<'a>(channels: impl IntoIterator<Item = &'a ImageScene>) -> bool {
+    let camera = |image: &ImageScene| (image.wavelength_nm, image.samples_per_lambda_over_d);
+    let mut cameras = channels.into_iter().map(camera);
     let first = cameras.next();
     cameras.all(|other| Some(other) == first)
 }
 
-/// Each segment's amplitude, in its unit, and where `tolerance` is above 0 as many of slopes along x
-/// and y, and of the square of the distance from the centre, of the segments' centres, at most 1:
-/// `[unknown, segment]`.
+/// Each segment's amplitude, in its unit, and where `tolerance` is above 0 as much of slopes along
+/// x and y, and of the square of the distance from the centre, at most 1: `[unknown, segment]`.
 fn amplitudes(pupil: &Pupil, tolerance: f64) -> Array2<f64> {
     let segments = &pupil.segments;
     let radius_m = segments.iter().map(|segment| segment.x_m.hypot(segment.y_m)).fold(0.0, f64::max);
@@ -229,9 +224,9 @@ fn amplitudes(pupil: &Pupil, tolerance: f64) -> Array2<f64> {
     })
 }
 
-/// Focus and two astigmatisms of every segment, of unit RMS in the mean over all: the same shapes on
-/// each, m², so that those of all segments are a smooth shape of the pupil less pistons, tips and
-/// tilts.
+/// Focus and two astigmatisms of every segment, of unit RMS in the mean over all: the same shapes
+/// on each, m², so that those of all segments are a smooth shape of the pupil less pistons, tips
+/// and tilts.
 ///
 /// They are shapes of the segments, and not maps: of a sample that belongs to several segments each
 /// part has its own. As maps, of the brightest segment at each sample, 5 nm of a common figure of

@@ -59,7 +59,6 @@ pub use crate::statics::{ErrorBudget, ErrorTerm, Iteration, NcpaFamily, SegmentT
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
 pub use estimate::{
     Basis, Comparison, Estimate, Figure, Figures, FullPhaseSummary, MethodResult, ModalSummary, OpticalParameter, Run,
-    WithoutStaircases,
 };
 pub use estimator::Estimator;
 pub use foreign_truth::{ForeignComparison, ForeignTruth};

@@ -266,7 +266,7 @@ fn what_a_common_figure_leaves_open_is_given_apart() {
     let [wide_nm, narrow_nm] = [&open, &known].map(|found| found.figures.phasing.sigma_nm);
     let apart = open.without_staircases.as_ref().unwrap();
     assert!(wide_nm > 4.0 * narrow_nm, "{wide_nm} {narrow_nm}");
-    // The figure itself, which the images and the tilts' prior leave uncertain by 0.6 nm, is in no map.
+    // The figure itself, known to 0.6 nm by the prior of the tilts, is in no map.
     assert!(apart.figures.phasing.sigma_nm < 1.5 * narrow_nm, "{:?} {narrow_nm}", apart.figures);
     assert!(open.figures.wavefront.sigma_nm < 2.0 * narrow_nm, "{:?}", open.figures);
     let pupil = &open.pupil;

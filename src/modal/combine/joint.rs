@@ -21,8 +21,9 @@
 //! than the scene says, disagrees with the others.
 
 mod left_out;
+mod normal;
 
-use crate::modal::assess::fisher::{self, null_floor, pseudo_inverse, without};
+use crate::modal::assess::fisher::{null_floor, pseudo_inverse, without};
 use crate::modal::assess::tilts::spanned_tip_and_tilt;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::integers::{self, ColourChannel, PistonInteger};
@@ -35,7 +36,8 @@ use crate::modal::left_out::WithLeftOut;
 use crate::scene::{Optic, System};
 use crate::{Error, Result};
 use left_out::WithStep;
-use ndarray::{Array1, Array2, Axis, concatenate, s};
+use ndarray::{Array1, Array2, s};
+use normal::{Likelihood, Normal};
 
 /// Fitter of a channel, and what it found.
 type ChannelFit<'a> = (&'a ModalFitter, &'a ModalEstimate);
@@ -72,17 +74,6 @@ pub(crate) struct JointEstimate {
     pub(crate) disagreement: (f64, f64),
     /// Modes by each channel, with the whole wavelengths of its pistons, nm.
     pub(crate) channels_nm: Vec<Vec<f64>>,
-}
-
-/// Normal likelihood of the modes, from one channel.
-#[derive(Clone)]
-struct Likelihood {
-    /// ĉ, nm.
-    coefficients_nm: Array1<f64>,
-    /// Λ, per nm².
-    information: Array2<f64>,
-    /// p, nm.
-    diversity_nm: Array1<f64>,
 }
 
 /// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale`
@@ -317,85 +308,4 @@ fn fitted_defocus(optic: Optic, channels: &[ChannelFit], found: &Normal, share: 
         None => (scene, f64::INFINITY),
     };
     Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share: share })
-}
-
-/// Normal equations and their solution.
-#[derive(Clone)]
-struct Normal {
-    /// Modes, and behind them δ where it is unknown.
-    solution: Array1<f64>,
-    covariance: Array2<f64>,
-    /// N.
-    matrix: Array2<f64>,
-    has_amplitude: bool,
-    /// Inverse variance of the prior of δ; 0 for none.
-    prior: f64,
-}
-
-impl Normal {
-    fn new(likelihoods: &[Likelihood], has_amplitude: bool, prior: f64) -> Result<Self> {
-        let modes = likelihoods[0].coefficients_nm.len();
-        let size = modes + usize::from(has_amplitude);
-        let (mut matrix, mut right) = (Array2::zeros((size, size)), Array1::zeros(size));
-        for channel in likelihoods {
-            let design = design(channel, has_amplitude)?;
-            let weighed = design.dot(&channel.information);
-            matrix += &weighed.dot(&design.t());
-            right += &weighed.dot(&channel.coefficients_nm);
-        }
-        if has_amplitude {
-            matrix[[modes, modes]] += prior;
-        }
-        let covariance = pseudo_inverse(&matrix, null_floor(size, size))?;
-        Ok(Self { solution: covariance.dot(&right), covariance, matrix, has_amplitude, prior })
-    }
-
-    /// δ and its error bar, where it is unknown.
-    fn amplitude(&self) -> Option<(f64, f64)> {
-        let last = self.solution.len() - 1;
-        self.has_amplitude.then(|| (self.solution[last], self.covariance[[last, last]].max(0.0).sqrt()))
-    }
-
-    /// Share of the information on δ that the modes leave.
-    fn share_of_amplitude(&self, likelihoods: &[Likelihood]) -> f64 {
-        let all: f64 = likelihoods
-            .iter()
-            .map(|channel| channel.diversity_nm.dot(&channel.information.dot(&channel.diversity_nm)))
-            .sum();
-        let last = self.solution.len() - 1;
-        // In a null direction N⁺ has a variance, too, and the part of N along δ that the modes
-        // reproduce is what matters.
-        let modes = self.matrix.slice(s![..last, ..last]).to_owned();
-        let cross = self.matrix.slice(s![..last, last]);
-        let reproduced =
-            pseudo_inverse(&modes, null_floor(last, last)).map_or(all, |inverse| cross.dot(&inverse.dot(&cross)));
-        if all > 0.0 { ((all - reproduced) / all).max(0.0) } else { 0.0 }
-    }
-
-    /// Reduced χ² of the channels about the solution, and its degrees of freedom; (1, 0) where
-    /// there are none.
-    fn disagreement(&self, likelihoods: &[Likelihood]) -> (f64, f64) {
-        let rank = |matrix: &Array2<f64>| fisher::rank(matrix, null_floor(matrix.nrows(), matrix.nrows())) as f64;
-        let (mut chi2, mut freedom) = (0.0, -rank(&self.matrix));
-        for channel in likelihoods {
-            let Ok(design) = design(channel, self.has_amplitude) else { continue };
-            let off = &channel.coefficients_nm - &design.t().dot(&self.solution);
-            chi2 += off.dot(&channel.information.dot(&off));
-            freedom += rank(&channel.information);
-        }
-        if let Some((delta, _)) = self.amplitude().filter(|_| self.prior > 0.0) {
-            (chi2, freedom) = (chi2 + delta * delta * self.prior, freedom + 1.0);
-        }
-        if freedom >= 1.0 { (chi2 / freedom, freedom) } else { (1.0, 0.0) }
-    }
-}
-
-/// [1 p]ᵀ of a channel, or 1.
-fn design(channel: &Likelihood, has_amplitude: bool) -> Result<Array2<f64>> {
-    let own = Array2::eye(channel.coefficients_nm.len());
-    if !has_amplitude {
-        return Ok(own);
-    }
-    let last = channel.diversity_nm.view().insert_axis(Axis(0));
-    concatenate(Axis(0), &[own.view(), last]).map_err(|error| Error::Internal(error.to_string()))
 }

@@ -6,7 +6,6 @@
 //! the figure is known; their sum, and all other shapes, do not.
 
 use crate::Result;
-use crate::metrics::MapGram;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::diversity_error::ModeProjector;
 use crate::modal::combine::global_motions::GlobalMotions;
@@ -33,7 +32,7 @@ impl WithoutStaircases {
             return Ok(None);
         }
         let weight = &pupil.amplitude / pupil.weight_sum();
-        let (squares, gram) = (basis.mean_squares(&pupil.amplitude)?, MapGram::of_basis(pupil, basis)?);
+        let (squares, gram) = (basis.mean_squares(&pupil.amplitude)?, basis.visible_gram(&pupil.amplitude)?);
         let projector = ModeProjector::new(pupil, basis, segments)?;
         let (mut staircases, mut smooth) = (Vec::new(), Vec::new());
         for kind in 0..3 {
@@ -48,8 +47,8 @@ impl WithoutStaircases {
             staircases.push(Array1::from_shape_fn(basis.len(), is_its));
             smooth.push(projector.project(basis, &map)?.coefficients_nm);
         }
-        let staircases = GlobalMotions::of_shapes(staircases, gram.products(), 0..segments)?;
-        let smooth = GlobalMotions::of_shapes(smooth, gram.products(), segments..basis.len())?;
+        let staircases = GlobalMotions::of_shapes(staircases, &gram, 0..segments)?;
+        let smooth = GlobalMotions::of_shapes(smooth, &gram, segments..basis.len())?;
         let mut coefficients_nm = modes.coefficients_nm.clone();
         staircases.remove(&mut coefficients_nm);
         smooth.remove(&mut coefficients_nm);

@@ -142,7 +142,7 @@ impl GroupPosterior {
         let last = last_zernike([fitter.recipe.exact_zernikes, fitter.recipe.prior_zernikes]);
         let each = fitters.iter().map(|fitter| LeftOut::new(&fitter.model, last, &scene.tolerance, unit_nm));
         let each = each.collect::<Result<Vec<LeftOut>>>()?;
-        let has_one_camera = has_one_camera(fitters);
+        let has_one_camera = has_one_camera(fitters.iter().map(|fitter| &fitter.scene.image));
         let all = GroupEquations::new((group, best), fitters, &each, has_one_camera)?;
         let left_out = &each[0];
         let groups = left_out.groups_of(if has_one_camera { &[] } else { names });

@@ -1,6 +1,6 @@
 //! The figures of `cophase estimate --json`.
 
-use cophase::pipeline::{ErrorTerm, Estimate, ModelError, WithoutStaircases};
+use cophase::pipeline::{ErrorTerm, Estimate, Figures, ModelError};
 use serde::Serialize;
 
 /// What `estimate --json` prints; scripts rely on these keys.
@@ -61,9 +61,8 @@ struct ErrorOfModel<'a> {
     significance: f64,
 }
 
-impl From<&WithoutStaircases> for Apart {
-    fn from(without: &WithoutStaircases) -> Self {
-        let [phasing, ncpa] = [without.figures.phasing, without.figures.ncpa];
+impl From<Figures> for Apart {
+    fn from(Figures { phasing, ncpa, .. }: Figures) -> Self {
         Self {
             phasing_rms_nm: phasing.rms_nm,
             ncpa_rms_nm: ncpa.rms_nm,
@@ -119,7 +118,7 @@ impl<'a> Summary<'a> {
             telemetry_correlation: telemetry.map(|check| check.correlation),
             error_budget: estimate.error_budget.iter().map(BudgetTerm::from).collect(),
             model_errors: estimate.model_errors.iter().map(ErrorOfModel::from).collect(),
-            without_staircases: estimate.without_staircases.as_ref().map(Apart::from),
+            without_staircases: estimate.without_staircases.as_ref().map(|without| without.figures.into()),
         }
     }
 }

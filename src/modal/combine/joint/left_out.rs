@@ -1,8 +1,8 @@
 //! What the modes of channels leave out, marginalised after the combination of the channels.
 //!
-//! The images of channel i have their minimum at ĉ_i − M_i l if what was left out is l, with M = H_ff⁺
-//! H_fl of their Gauss-Newton matrix, and a χ² that is lower by 2 s·l − lᵀ S l. With z the unknowns
-//! of the combination and ẑ their values,
+//! The images of channel i have their minimum at ĉ_i − M_i l if what was left out is l, with
+//! M = H_ff⁺ H_fl of their Gauss-Newton matrix, and a χ² that is lower by 2 s·l − lᵀ S l. With the
+//! unknowns z of the combination,
 //!
 //! ```text
 //! Σ (ĉ_i − M_i l − D_iᵀ z)ᵀ Λ_i (ĉ_i − M_i l − D_iᵀ z) + lᵀ S_i l − 2 s_i·l        D = [1 p]ᵀ
@@ -11,8 +11,10 @@
 //! is a quadratic form of z and l, and the step that marginalises l is that of the images of one
 //! channel.
 
-use super::{ChannelFit, Likelihood, Normal, design};
+use super::normal::{Likelihood, Normal, design};
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
+use crate::modal::combine::ModalEstimate;
+use crate::modal::fitter::ModalFitter;
 use crate::modal::left_out::{Equations, Group, LeftOut, OwnEquations, Step, has_one_camera, priors};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, s};
@@ -68,7 +70,7 @@ impl WithStep {
     /// # Errors
     /// [`Error::Internal`] for values that are not finite.
     pub(super) fn of(
-        channels: &[ChannelFit],
+        channels: &[(&ModalFitter, &ModalEstimate)],
         names: &[String],
         likelihoods: &[Likelihood],
         found: &Normal,
@@ -78,7 +80,7 @@ impl WithStep {
         let Some(each) = each else { return Ok(None) };
         let [(first, _), ..] = each[..] else { return Ok(None) };
         let (fitted, own) = (channels[0].0.model.optics.modes(), first.of_camera());
-        let is_one = has_one_camera(channels.iter().map(|(fitter, _)| *fitter));
+        let is_one = has_one_camera(channels.iter().map(|(fitter, _)| &fitter.scene.image));
         let groups = first.groups_of(if is_one { &[] } else { names });
         let before = found.solution.len();
         let count = own.start - fitted + own.len() * if is_one { 1 } else { each.len() };
