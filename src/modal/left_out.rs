@@ -100,8 +100,9 @@ impl LeftOut {
             Mode::Smooth(columns.smooth - 1)
         });
         let segments = pupil.segments.len();
+        let has_segments = model.pistons() == segments && segments > 1;
         let (mut own_slopes, mut tilts) = (parts.slopes.clone(), 0..0);
-        if model.pistons() == segments && segments > 1 {
+        if has_segments {
             let name = "tips and tilts of the segments";
             if own_slopes.is_none() {
                 own_slopes = Some(slopes(&parts.weights, &points, pupil)?);
@@ -120,7 +121,7 @@ impl LeftOut {
             columns.push_rows(name, zernikes, [1.0, 3.0], (VarianceRule::MostLikely, Of::Ncpa));
         }
         let mut figures = Vec::new();
-        if own_slopes.is_some() && model.pistons() == segments && segments > 1 {
+        if has_segments {
             let each = segment_figures(parts, &points, model)?;
             if 3 * segments <= MOST_FIGURES {
                 figures.extend(each.iter().flatten().map(|figure| vec![*figure]));
@@ -134,7 +135,7 @@ impl LeftOut {
                 columns.push_further("figure that all segments share", 3, [tolerance.common_figure_nm; 2], of);
             }
         }
-        let amplitudes = (model.pistons() == segments && segments > 1 && 3 * segments <= MOST_FIGURES).then(|| {
+        let amplitudes = (has_segments && 3 * segments <= MOST_FIGURES).then(|| {
             let of = (VarianceRule::MostLikely, Of::Amplitudes);
             columns.push_further("amplitudes of the segments", segments, AMPLITUDES, of);
             for name in ILLUMINATIONS {

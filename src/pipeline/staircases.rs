@@ -1,5 +1,5 @@
-//! Phasing and NCPA without the shapes of the whole mirror that only a tolerance divides among the
-//! two: see [`crate::modal::WithoutStaircases`].
+//! Phasing and NCPA without the shapes of the whole mirror that only a tolerance divides between
+//! the two: see [`crate::modal::WithoutStaircases`].
 
 use super::estimate::{Figures, WithoutStaircases};
 use super::modal::ExpectedErrors;
@@ -35,7 +35,7 @@ impl WithoutStaircases {
     pub(super) fn remark(&self, figures: &Figures) -> String {
         let Figures { phasing, ncpa, .. } = self.figures;
         format!(
-            "How focus and astigmatism of the whole pupil divide among segments and NCPA rests on tolerance.common_figure_nm: a figure that \
+            "How the focus and astigmatism of the whole pupil are divided between segments and NCPA depends on tolerance.common_figure_nm: a figure that \
              all segments share is the same wavefront as a staircase of their pistons, tips and tilts and a smooth shape. Without these three \
              shapes the phasing is {:.2} ± {:.2} nm and the NCPA {:.2} ± {:.2} nm; the sum with them, the wavefront, is known to {:.2} nm.",
             phasing.rms_nm, phasing.sigma_nm, ncpa.rms_nm, ncpa.sigma_nm, figures.wavefront.sigma_nm

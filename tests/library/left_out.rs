@@ -238,7 +238,8 @@ fn a_channel_alone_is_an_image_without_channels() {
         let images = Images::simulated_channels(&scene).unwrap();
         Estimator::new(&scene).unwrap().estimate(&images).unwrap()
     });
-    // The combination of channels goes by the inverse of a covariance, and to a step of its own.
+    // Both are the same equations. The combination inverts a covariance twice, and error bars are
+    // scaled by χ² from 1.05 on.
     for (one, other) in [
         (one.figures.phasing, other.figures.phasing),
         (one.figures.ncpa, other.figures.ncpa),
@@ -252,7 +253,7 @@ fn a_channel_alone_is_an_image_without_channels() {
 
 /// A figure that all segments share and a staircase of the segments with a smooth shape are one
 /// wavefront: by its tolerance the error bars are several times as large as without, and without
-/// the three shapes no larger.
+/// the three shapes little larger.
 #[test]
 #[ignore = "merge: 20 s"]
 fn what_a_common_figure_leaves_open_is_given_apart() {
@@ -322,8 +323,8 @@ fn what_a_common_figure_leaves_open_is_given_apart() {
     assert!(mean(&(&of_map * &of_map), &of_all).sqrt() < 0.02 * apart.figures.phasing.rms_nm);
 }
 
-/// In a bright image a common figure is seen to differ from a staircase with a smooth wavefront,
-/// 216 nm of which are 5 nm of it, by what the edges of the segments show alone.
+/// 5 nm of a common figure are the wavefront of 216 nm of a staircase and a smooth shape. With
+/// figures that were maps, of one segment at each sample, the step took one for the other.
 #[test]
 #[ignore = "merge: 6 s"]
 fn a_bright_image_tells_a_common_figure_from_a_staircase() {

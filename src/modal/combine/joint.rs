@@ -151,7 +151,7 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
     let normal =
         |with_amplitude: bool| Normal::new(&likelihoods, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
     let mut found = normal(is_unknown)?;
-    let share = found.share_of_amplitude(&likelihoods);
+    let share = if is_fitted { found.share_of_amplitude(&likelihoods) } else { 0.0 };
     if is_fitted && share <= LEAST_SHARE {
         found = normal(false)?;
     }

@@ -1,4 +1,5 @@
-//! Phasing and NCPA without the shapes of the whole mirror that images do not divide among the two.
+//! Phasing and NCPA without the shapes of the whole mirror that images do not divide between the
+//! two.
 //!
 //! A focus or an astigmatism that all segments share is the same wavefront as one of the whole
 //! pupil less a staircase of pistons, tips and tilts of the segments. So where segments have tips

@@ -49,7 +49,7 @@ unusable; contradictory where the images are of several wavefronts), warnings (s
 iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts), \
 error_budget (name, phasing_nm and ncpa_nm of each term), model_errors (with estimate.posterior: name, value, sigma, tolerance and \
 significance of each error of the optics and the camera), without_staircases (phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm and \
-ncpa_sigma_nm without the shapes of the whole mirror that a tolerance alone divides among both); null where a key does not apply.";
+ncpa_sigma_nm without the focus and astigmatisms of the whole pupil, where only a tolerance divides them between the two); null where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]

@@ -12,11 +12,11 @@
 //! channel.
 
 use super::normal::{Likelihood, Normal, design};
+use crate::Result;
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
 use crate::modal::combine::ModalEstimate;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::left_out::{Equations, Group, LeftOut, OwnEquations, Step, has_one_camera, priors};
-use crate::{Error, Result};
 use ndarray::{Array1, Array2, s};
 
 /// The combination of channels, with what their modes leave out.
@@ -68,7 +68,7 @@ impl WithStep {
     /// channel does not know it.
     ///
     /// # Errors
-    /// [`Error::Internal`] for values that are not finite.
+    /// Those of [`Step::new`].
     pub(super) fn of(
         channels: &[(&ModalFitter, &ModalEstimate)],
         names: &[String],
@@ -129,9 +129,6 @@ impl WithStep {
             matrix: found.matrix.clone(),
             ..*found
         };
-        if !combined.solution.iter().all(|nm| nm.is_finite()) {
-            return Err(Error::Internal("what channels leave out is not finite".into()));
-        }
         let disagreement = combined.disagreement(&moved.collect::<Vec<_>>());
         Ok(Some(Self { step, groups, combined, disagreement }))
     }
