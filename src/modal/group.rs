@@ -79,8 +79,8 @@ pub(crate) struct GroupEstimate {
     pub(crate) most_different: Option<([usize; 2], f64)>,
 }
 
-/// Fits the images of all `channels` of `scene` together; `near_nm` are the modes that some of them
-/// show alone.
+/// Fits the images of all `channels` of `scene` together, and marginalises what the modes leave
+/// out, or does not; `near_nm` are the modes that some of them show alone.
 ///
 /// # Errors
 /// [`crate::Error::Image`] where no image can be used, [`crate::Error::Shape`] for images of
@@ -89,8 +89,8 @@ pub(crate) struct GroupEstimate {
 pub(crate) fn estimate_group(
     scene: &System,
     channels: Vec<GroupChannel>,
-    near_nm: Option<&[f64]>,
-    search: Search,
+    (near_nm, search): (Option<&[f64]>, Search),
+    marginalise: bool,
     control: &Control,
 ) -> Result<GroupEstimate> {
     let started = Instant::now();
@@ -103,7 +103,7 @@ pub(crate) fn estimate_group(
     control.enter(Stage::Combining, 0);
     let fitters = own.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
     let names: Vec<String> = channels.iter().map(|channel| channel.name.clone()).collect();
-    let posterior = scene.estimate.posterior.then(|| found.posterior(scene, &fitters, &names)).transpose()?;
+    let posterior = marginalise.then(|| found.posterior(scene, &fitters, &names)).transpose()?;
     if let Some(posterior) = &posterior {
         found.explain(&posterior.left_out.explained_chi2);
     }

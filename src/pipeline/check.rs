@@ -97,6 +97,7 @@ pub fn check(
         (estimate.ao_knowledge, estimate.telemetry) = (None, Telemetry::Check);
         estimate.fit_optics.clear();
         estimate.budget_nm = None;
+        sections.leave_out_posterior();
     })?;
     let consistent = reconcile(&trusting, &plain)?;
     let mut work = Work {

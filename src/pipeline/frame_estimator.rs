@@ -74,7 +74,9 @@ impl FrameEstimator {
             let session = Session::new(fitter.clone(), &SessionOptions::default())?;
             Method::Sessions([Some(Box::new(session)), None])
         } else {
-            Method::Pipeline(Box::new(Estimator::with_policy(&scene, policy, control)?))
+            // What the modes leave out all frames share: it is no noise that a state averages.
+            let alone = scene.changed(|sections| sections.leave_out_posterior())?;
+            Method::Pipeline(Box::new(Estimator::with_policy(&alone, policy, control)?))
         };
         Ok(Self { scene, fitter, method })
     }

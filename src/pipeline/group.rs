@@ -151,7 +151,8 @@ pub(super) fn estimate(
     let strong = channels.iter().zip(&together.weak).filter(|(_, is_weak)| !**is_weak);
     let strong: Vec<&ChannelImages> = strong.map(|(channel, _)| channel).collect();
     let alone = Channels::new(scene, policy, control, &strong)?;
-    let task = GroupTask { scene, policy, control, channels, together, which, started };
+    let marginalise = policy.recipe(scene).marginalise;
+    let task = GroupTask { scene, policy, control, channels, together, which, marginalise, started };
     let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
     let is_near_known = match strong.len() {
         0 => false,
@@ -168,7 +169,7 @@ pub(super) fn estimate(
         None => {
             let mut found = task.fit(None, Search::First)?;
             let mut is_right = !found.group.minima.is_suspicious;
-            if !is_right && scene.estimate.posterior && found.group.is_explained {
+            if !is_right && task.marginalise && found.group.is_explained {
                 // χ² that the step leaves of an error may be that of another minimum: other starts
                 // show which.
                 found = task.fit(None, Search::IfNeeded)?;
@@ -181,7 +182,7 @@ pub(super) fn estimate(
         }
     };
     // What the modes leave out may explain why they differ.
-    if near.1.is_contradictory() && !scene.estimate.posterior {
+    if near.1.is_contradictory() && !task.marginalise {
         return alone.estimate(near);
     }
     let found = task.fit(Some(&near), Search::First)?;
@@ -197,6 +198,8 @@ struct GroupTask<'a> {
     together: &'a Together,
     /// Which images of each channel are fitted.
     which: Vec<Vec<bool>>,
+    /// Whether what the modes leave out is marginalised.
+    marginalise: bool,
     started: Instant,
 }
 
@@ -232,7 +235,7 @@ impl GroupTask<'_> {
         let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
         let model_seconds = began.elapsed().as_secs_f64();
         let near_nm = near.map(|(_, near)| near.modes.coefficients_nm.as_slice());
-        let mut group = modal::estimate_group(self.scene, members, near_nm, search, self.control)?;
+        let mut group = modal::estimate_group(self.scene, members, (near_nm, search), self.marginalise, self.control)?;
         group.joint.integers = near.map(|(_, near)| near.integers.clone()).unwrap_or_default();
         self.control.check("the images were fitted, nothing was written")?;
         Ok(GroupFit { group, scenes, model_seconds })

@@ -91,8 +91,8 @@ section! {
         restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the recipes of Lamb et al.");
         /// Whether what the modes leave out (tips, tilts, figures and amplitudes of the segments,
         /// Zernikes to Noll 91, plate scale, gains, response) is marginalised after the fit, so
-        /// that error bars hold it. Sessions and the watch do not.
-        posterior: bool, ANY, default(false);
+        /// that maps and error bars hold it. Sessions and the watch do not.
+        posterior: Option<bool>, ANY, unset("false");
         /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the
         /// cheapest model within it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
@@ -158,6 +158,21 @@ impl EstimateScene {
         self.precision.unwrap_or(usual)
     }
 
+    /// Whether what the modes leave out is marginalised after the fit.
+    pub fn has_posterior(&self) -> bool {
+        self.method != Method::FullPhase && self.has_noise_weights() && self.posterior.unwrap_or(false)
+    }
+
+    /// Weight of each pixel where `optimizer` is in place of the one that is named.
+    pub(crate) fn weighting_with(&self, optimizer: Optimizer) -> Weighting {
+        let is_ours = optimizer == Optimizer::GaussNewton;
+        self.weighting.unwrap_or(if is_ours { Weighting::Noise } else { Weighting::None })
+    }
+
+    fn has_noise_weights(&self) -> bool {
+        self.weighting_with(self.optimizer) == Weighting::Noise
+    }
+
     fn check_modal(&self, reader: &Reader) -> Result<()> {
         let of_full_phase =
             [("ao_knowledge", self.ao_knowledge.is_some()), ("telemetry", self.telemetry != Telemetry::Check)];
@@ -165,6 +180,10 @@ impl EstimateScene {
         if self.fitted_images.as_ref().is_some_and(Vec::is_empty) {
             let sentence = "estimate.fitted_images = [] is not accepted; the number of one image at least is needed";
             return Err(reader.error("fitted_images", sentence));
+        }
+        if self.posterior == Some(true) && !self.has_noise_weights() {
+            let sentence = "estimate.posterior = true needs noise weights; optimizer = \"gauss-newton\" without weighting is needed";
+            return Err(reader.error("posterior", sentence));
         }
         if self.fit_optics.is_empty() {
             return Ok(());
@@ -194,7 +213,7 @@ impl EstimateScene {
             ("combine", self.combine.is_some()),
             ("group", self.group != Grouping::Auto),
             ("fitted_images", self.fitted_images.is_some()),
-            ("posterior", self.posterior),
+            ("posterior", self.posterior.is_some()),
         ];
         reader.refuse_set(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {

@@ -215,10 +215,10 @@ impl Sections {
             return Err(reader("control").error("reconstructor", sentence));
         }
         let named = self.tolerance.differences(&ToleranceScene::usual()?).into_iter().next();
-        if let Some((key, value)) = named.filter(|_| !self.estimate.posterior) {
+        if let Some((key, value)) = named.filter(|_| !self.estimate.has_posterior()) {
             let sentence = format!(
-                "tolerance.{key} = {value} has no effect without estimate.posterior = true, by which error bars hold the tolerances; set it, or \
-                 leave this out"
+                "tolerance.{key} = {value} has no effect without estimate.posterior = true, which needs noise weights and estimate.method = \"modal\"; \
+                 leave it out"
             );
             return Err(reader("tolerance").error(key, sentence));
         }
@@ -228,11 +228,11 @@ impl Sections {
         Ok(())
     }
 
-    /// Unsets `estimate.posterior`, and with it the tolerances, which then have no effect: for one
-    /// channel of several, whose estimate has what the modes of all leave out.
+    /// Turns `estimate.posterior` off, and unsets the tolerances, which then have no effect: for
+    /// one channel of several, whose estimate has what the modes of all leave out.
     pub(crate) fn leave_out_posterior(&mut self) {
         if let Ok(usual) = ToleranceScene::usual() {
-            (self.estimate.posterior, self.tolerance) = (false, usual);
+            (self.estimate.posterior, self.tolerance) = (Some(false), usual);
         }
     }
 

@@ -7,7 +7,7 @@ use crate::Result;
 
 section! {
     /// Standard deviations of what the scene takes to be exact, within which the images decide:
-    /// with estimate.posterior = true the error bars hold them; 0 is exact. Estimate only.
+    /// and which the error bars hold with estimate.posterior = true; 0 is exact. Estimate only.
     ToleranceScene = "tolerance" {
         /// Scale of the image along x and along y, and its shear.
         pixel_scale_fraction: f64, between(0.0, 0.1), default(1e-3);

@@ -78,7 +78,7 @@ impl Recipe {
     fn with_optimizer(scene: &System, optimizer: Optimizer) -> Self {
         let ours = optimizer == Optimizer::GaussNewton;
         let estimate = &scene.estimate;
-        let weighting = estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None });
+        let weighting = estimate.weighting_with(optimizer);
         let has_noise = weighting == Weighting::Noise;
         Self {
             optimizer,
@@ -124,7 +124,7 @@ impl Recipe {
         let own = Self::from_scene(scene);
         let is_open = scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none();
         let prior_zernikes = if is_open { WITH_PRIOR } else { NollRange::None };
-        let marginalise = own.weighting == Weighting::Noise && scene.estimate.posterior;
+        let marginalise = scene.estimate.has_posterior();
         Self { prior_zernikes, marginalise, ..own }
     }
 }
