@@ -26,7 +26,7 @@ use crate::modal::combine::sequence::{SEQUENCE, scatter, shrinkage_of_variance};
 use crate::modal::combine::single_image::{Combined, Fits, SingleImage, centre, scale_of_noise};
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::estimate::image_fits::{FittedCube, ImageFits};
-use crate::modal::left_out::{OwnEquations, WithLeftOut};
+use crate::modal::left_out::{OwnEquations, WholeWavefront, WithLeftOut};
 use crate::modal::solve::minimum::Minimum;
 use crate::modal::solve::restart::is_same_minimum;
 use crate::modes::{Degeneracy, WEAK_BELOW};
@@ -67,10 +67,11 @@ pub struct Combination {
 
 impl Combination {
     /// That of images whose modes are `likelihood`, without a prior and without the errors that all
-    /// images share.
+    /// images share; `whole` has what was left out of them, and takes both.
     fn new(
         fitter: &ModalFitter,
         likelihood: CombinedModes,
+        whole: Option<&mut WholeWavefront>,
         used_images: Vec<usize>,
         clipped_images: Vec<usize>,
     ) -> Result<Self> {
@@ -78,7 +79,14 @@ impl Combination {
         let CombinedModes { coefficients_nm, covariance_nm2: averaged_covariance_nm2 } = with_prior(model, likelihood)?;
         let covariance_nm2 = fitter.with_shared(averaged_covariance_nm2.clone());
         let modes = CombinedModes { coefficients_nm, covariance_nm2 };
-        let (maps, sigma_maps) = (StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes));
+        let [maps, sigma_maps] = match whole {
+            Some(whole) => {
+                whole.take_prior(model)?;
+                whole.take_fitted(&modes);
+                whole.maps(model)
+            }
+            None => [StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes)],
+        };
         Ok(Self { used_images, clipped_images, modes, averaged_covariance_nm2, maps, sigma_maps })
     }
 }
@@ -246,7 +254,13 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     Ok(ModalEstimate {
         combine: how,
-        combined: Combination::new(fitter, combined, images_of(&used), images_of(&clipped))?,
+        combined: Combination::new(
+            fitter,
+            combined,
+            left_out.as_mut().map(|left_out| &mut left_out.whole),
+            images_of(&used),
+            images_of(&clipped),
+        )?,
         mean_residual_chi2,
         agreement: agreement.of_images(indices),
         compared: fitted_image(fitter, &minima[first], &prepared[first]),
@@ -305,7 +319,7 @@ impl ModalFitter {
             covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
         };
         let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
-        Combination::new(self, likelihood, images_of(&used), images_of(&clipped))
+        Combination::new(self, likelihood, None, images_of(&used), images_of(&clipped))
     }
 }
 

@@ -20,6 +20,7 @@ mod equations;
 mod groups;
 mod result;
 mod step;
+mod whole;
 
 use crate::empirical_bayes::VarianceRule;
 use crate::grid::Grid;
@@ -33,12 +34,14 @@ use groups::{Columns, Of};
 use ndarray::{Array2, ArrayView1, Axis, concatenate};
 use std::ops::Range;
 use std::sync::Arc;
+use whole::WholeBasis;
 
 pub(in crate::modal) use equations::OwnEquations;
 pub(in crate::modal) use groups::{Group, priors};
 pub use result::ModelError;
-pub(crate) use result::{LeftOutTerm, WithLeftOut};
+pub(crate) use result::WithLeftOut;
 pub(in crate::modal) use step::{Equations, SAME, Step};
+pub(crate) use whole::WholeWavefront;
 
 /// Last Zernike, in Noll's order, that is marginalised where the fit ends before it.
 const LAST_ZERNIKE: usize = 91;
@@ -68,6 +71,8 @@ pub(in crate::modal) struct LeftOut {
     figures: Vec<Vec<SegmentFigure>>,
     /// Those of the camera come last.
     groups: Vec<Group>,
+    /// Maps of these and of the fitted modes.
+    whole: Arc<WholeBasis>,
     /// Logarithms of the amplitudes of the segments for one unit of each unknown that is of them,
     /// `[unknown, segment]`: each segment's own, and patterns of the illumination.
     amplitudes: Option<Array2<f64>>,
@@ -165,7 +170,9 @@ impl LeftOut {
             weights: parts.weights.clone(),
         })?;
         let (chain, groups) = (CpuChain::new(Arc::new(optics)), columns.groups);
-        Ok(Self { chain, fitted, tilts, modes: count, figures, groups, amplitudes, tolerance: tolerance.clone() })
+        let whole = Arc::new(WholeBasis::new(model, &groups, &figures, [last_zernike + 1, LAST_ZERNIKE])?);
+        let tolerance = tolerance.clone();
+        Ok(Self { chain, fitted, tilts, modes: count, figures, groups, whole, amplitudes, tolerance })
     }
 
     /// Number of the unknowns.

@@ -8,6 +8,7 @@ mod products;
 use crate::{Error, Result};
 use ndarray::{Array3, ArrayViewMut2, Axis, s};
 use std::collections::HashSet;
+use std::ops::Range;
 
 /// The estimated wavefront to which a mode belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -74,7 +75,7 @@ impl Basis {
     ///
     /// # Errors
     /// As [`Basis::from_cube`].
-    pub(super) fn from_lists(
+    pub(crate) fn from_lists(
         names: Vec<String>,
         groups: Vec<Group>,
         samples: usize,
@@ -147,6 +148,15 @@ impl Basis {
         }
         maps.slice_mut(s![self.sparse.len().., .., ..]).assign(&self.dense);
         maps
+    }
+
+    /// The modes `modes` alone.
+    pub(crate) fn part(&self, modes: Range<usize>) -> Self {
+        let lists = self.sparse.len();
+        let sparse = self.sparse[modes.start.min(lists)..modes.end.min(lists)].to_vec();
+        let dense =
+            self.dense.slice(s![modes.start.max(lists) - lists..modes.end.max(lists) - lists, .., ..]).to_owned();
+        Self { names: self.names[modes.clone()].to_vec(), groups: self.groups[modes].to_vec(), sparse, dense }
     }
 
     /// These modes, then those of `other`.

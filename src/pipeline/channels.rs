@@ -227,7 +227,7 @@ pub(super) fn combined(
     let ([own, ..], [first, ..]) = (&fits[..], &each[..]) else {
         return Err(Error::Internal("there is no modal estimate of a channel".into()));
     };
-    let errors = ExpectedErrors::new(own.fitter.model())?;
+    let errors = ExpectedErrors::new(own.fitter.model(), found.left_out.as_ref())?;
     let views: Vec<_> = fits.iter().map(|one| one.image_coefficients_nm.view()).collect();
     let method = MethodResult::Modal(ModalSummary {
         combine: own.combine,
@@ -253,9 +253,9 @@ pub(super) fn combined(
         error_budget.push(own);
     }
     let left_out = found.left_out.as_ref();
-    let sigma_nm = errors.with_left_out_nm(&found.modes.covariance_nm2, left_out)?;
+    let sigma_nm = errors.of_maps_nm(&found.modes.covariance_nm2, left_out)?;
     let figures = Figures::new(&first.pupil, &found.maps, sigma_nm)?;
-    let without_staircases = WithoutStaircases::of((&errors, own.fitter.model()), &found.modes, left_out, &figures)?;
+    let without_staircases = WithoutStaircases::of((&errors, own.fitter.model()), left_out, &figures)?;
     let of_staircases = without_staircases.as_ref().map(|without| without.remark(&figures));
     Ok(Estimate {
         // The scene as given, with its channels.
@@ -307,7 +307,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
 
 /// Remarks of the channels, each once; that on the diversity is of all channels together.
 fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
-    let mut sentences: Vec<String> = found.left_out.iter().map(super::remarks::left_out_remark).collect();
+    let mut sentences: Vec<String> = found.left_out.iter().flat_map(super::remarks::left_out_remarks).collect();
     for sentence in each.iter().flat_map(|one| &one.remarks) {
         if !sentences.contains(sentence) && !sentence.starts_with(super::remarks::ON_DIVERSITY) {
             sentences.push(sentence.clone());

@@ -33,7 +33,8 @@ pub struct Estimate {
     pub modes: CombinedModes,
     /// The pupil on which the maps are.
     pub pupil: Pupil,
-    /// Segment errors and NCPA.
+    /// Segment errors and NCPA: the modes, and with `estimate.posterior` what these leave out of
+    /// the wavefront.
     pub maps: StaticMaps,
     /// Error bars of the maps.
     pub sigma_maps: StaticMaps,

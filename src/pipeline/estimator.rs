@@ -10,7 +10,7 @@ use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
 use super::policy::Policy;
-use super::remarks::modulo_wavelength_remark;
+use super::remarks::{modulo_wavelength_remark, noise_alone_remark};
 use super::scene_files::{FileState, check_for_estimate, file_states};
 use super::{channels, full_phase, group};
 use crate::control::{Control, Stage};
@@ -143,6 +143,7 @@ impl Estimator {
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
+        estimate.remarks.extend(noise_alone_remark(&scene));
         estimate.remarks.extend(modulo_wavelength_remark(&estimate));
         estimate.warnings.splice(0..0, notes);
         estimate.remarks.splice(0..0, remarks);

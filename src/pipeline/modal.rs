@@ -6,15 +6,19 @@ use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::{remarks, warnings};
-use crate::Result;
 use crate::metrics::MapGram;
 use crate::modal::{self, Combination, FittedOptic, Model, WithLeftOut};
-use crate::modes::Group;
+use crate::modes::{self, Group};
+use crate::pupil::Pupil;
 use crate::scene::NollRange;
 use crate::statics::ErrorTerm;
 use crate::telescope::unit_remark;
+use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
+
+/// Name of the term of the error budget that has what the modes leave out.
+pub(super) const NOT_FITTED: &str = "what is not fitted";
 
 impl Fitted {
     /// The estimate of this channel alone.
@@ -22,15 +26,14 @@ impl Fitted {
         let Self { fit: (fitter, found), scene, selected, cause, changes, model_seconds } = self;
         let model = fitter.model();
         let diversity = fitter.diversity_projection()?;
-        let errors = ExpectedErrors::new(model)?;
+        let errors = ExpectedErrors::new(model, found.left_out())?;
         let pupil = model.telescope.pupil.clone();
-        let sigma_nm = errors.with_left_out_nm(&found.combined.modes.covariance_nm2, found.left_out())?;
+        let sigma_nm = errors.of_maps_nm(&found.combined.modes.covariance_nm2, found.left_out())?;
         let figures = Figures::new(&pupil, &found.combined.maps, sigma_nm)?;
-        let without_staircases =
-            WithoutStaircases::of((&errors, model), &found.combined.modes, found.left_out(), &figures)?;
-        let remarks = [
-            without_staircases.as_ref().map(|without| without.remark(&figures)),
-            found.left_out().map(remarks::left_out_remark),
+        let without_staircases = WithoutStaircases::of((&errors, model), found.left_out(), &figures)?;
+        let open = without_staircases.as_ref().map(|without| without.remark(&figures));
+        let left_out = found.left_out().map(remarks::left_out_remarks).unwrap_or_default();
+        let of_scene = [
             selected.as_ref().map(|selected| selected.remark.clone()),
             remarks::diversity_remark(&diversity, &scene),
             remarks::averaged_pupil_remark(&scene, &model.telescope),
@@ -61,7 +64,7 @@ impl Fitted {
             optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
             integers: Vec::new(),
             warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
-            remarks: remarks.into_iter().flatten().collect(),
+            remarks: open.into_iter().chain(left_out).chain(of_scene.into_iter().flatten()).collect(),
             scene,
             pupil,
             run: Run { device: found.device, precision: found.precision, seconds: found.seconds, model_seconds },
@@ -108,18 +111,23 @@ fn added_modes(recipe: &modal::Recipe, selected: Option<&str>) -> String {
 /// Expected RMS over the pupil of errors of the coefficients, piston, tip and tilt removed as in a
 /// residual.
 pub(super) struct ExpectedErrors {
+    fitted: MapErrors,
+    /// Of the fitted modes and of what was left out; `None` where nothing was.
+    whole: Option<MapErrors>,
+}
+
+/// [`ExpectedErrors`] of the modes of one basis.
+struct MapErrors {
     gram: MapGram,
     groups: Vec<Group>,
 }
 
-impl ExpectedErrors {
-    pub(super) fn new(model: &Model) -> Result<Self> {
-        let gram = MapGram::of_basis(&model.telescope.pupil, &model.basis)?;
-        Ok(Self { gram, groups: model.basis.groups().to_vec() })
+impl MapErrors {
+    fn new(pupil: &Pupil, basis: &modes::Basis) -> Result<Self> {
+        Ok(Self { gram: MapGram::of_basis(pupil, basis)?, groups: basis.groups().to_vec() })
     }
 
-    /// Expected RMS of the errors of phasing, NCPA and their sum, nm.
-    pub(super) fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
+    fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
         let rms_nm = |keep: &dyn Fn(Group) -> bool| {
             let inside = |(k, l): (usize, usize)| keep(self.groups[k]) && keep(self.groups[l]);
             let part =
@@ -128,16 +136,32 @@ impl ExpectedErrors {
         };
         Ok([rms_nm(&|group| group == Group::Segment)?, rms_nm(&|group| group == Group::Ncpa)?, rms_nm(&|_| true)?])
     }
+}
 
-    /// The same with what is left out of the segments, of which tilts and figures are in no map.
-    pub(super) fn with_left_out_nm(
-        &self,
-        covariance_nm2: &Array2<f64>,
-        left_out: Option<&WithLeftOut>,
-    ) -> Result<[f64; 3]> {
-        let unseen_nm = left_out.map_or(0.0, |left_out| left_out.phasing_nm);
-        let [phasing_nm, ncpa_nm, whole_nm] = self.rms_nm(covariance_nm2)?;
-        Ok([phasing_nm.hypot(unseen_nm), ncpa_nm, whole_nm.hypot(unseen_nm)])
+impl ExpectedErrors {
+    pub(super) fn new(model: &Model, left_out: Option<&WithLeftOut>) -> Result<Self> {
+        let pupil = &model.telescope.pupil;
+        let whole = left_out.map(|left_out| MapErrors::new(pupil, left_out.whole.basis())).transpose()?;
+        Ok(Self { fitted: MapErrors::new(pupil, &model.basis)?, whole })
+    }
+
+    /// Expected RMS of the errors of phasing, NCPA and their sum, of the fitted modes, nm.
+    pub(super) fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
+        self.fitted.rms_nm(covariance_nm2)
+    }
+
+    /// The same of the fitted modes and of what was left out, from the covariance of all.
+    pub(super) fn of_whole_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
+        let Some(whole) = &self.whole else { return Err(Error::Internal("nothing was left out of the modes".into())) };
+        whole.rms_nm(covariance_nm2)
+    }
+
+    /// The same of an estimate whose fitted modes have this covariance.
+    pub(super) fn of_maps_nm(&self, covariance_nm2: &Array2<f64>, left_out: Option<&WithLeftOut>) -> Result<[f64; 3]> {
+        match left_out {
+            Some(left_out) => self.of_whole_nm(&left_out.whole.modes.covariance_nm2),
+            None => self.rms_nm(covariance_nm2),
+        }
     }
 
     /// Takes what was left out from the term `images`, whose covariance has it, too; its own term.
@@ -146,7 +170,8 @@ impl ExpectedErrors {
         let less = |all_nm: f64, own_nm: f64| (all_nm * all_nm - own_nm * own_nm).max(0.0).sqrt();
         images.phasing_nm = less(images.phasing_nm, phasing_nm);
         images.ncpa_nm = less(images.ncpa_nm, ncpa_nm);
-        Ok(ErrorTerm { name: "what is not fitted".into(), phasing_nm: phasing_nm.hypot(left_out.phasing_nm), ncpa_nm })
+        let [phasing_nm, ncpa_nm, _] = self.of_whole_nm(&left_out.whole.added_nm2)?;
+        Ok(ErrorTerm { name: NOT_FITTED.into(), phasing_nm, ncpa_nm })
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::estimate::Estimate;
 use crate::Result;
-use crate::modal::{DiversityProjection, LeftOutTerm, WithLeftOut};
+use crate::modal::{DiversityProjection, ModelError, WithLeftOut};
 use crate::scene::{Aperture, Scene};
 use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
@@ -139,16 +139,25 @@ pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
 /// Size of what was left out that is shown with one digit.
 const LEAST_SIZE: f64 = 0.05;
 
-/// What the modes leave out, and how large the images say it is.
-pub(super) fn left_out_remark(left_out: &WithLeftOut) -> String {
-    let size = |term: &&LeftOutTerm| format!("{} {:.1} {}", term.name, term.size, term.unit);
-    let (seen, unseen): (Vec<_>, Vec<_>) = left_out.terms.iter().partition(|term| term.size >= LEAST_SIZE);
-    let mut parts: Vec<String> = seen.iter().map(size).collect();
-    parts.push("errors of the camera and of the illumination within their tolerances".into());
-    let unseen: Vec<&str> = unseen.iter().map(|term| term.name.as_str()).collect();
-    let none = if unseen.is_empty() { String::new() } else { format!("; the images show no {}", unseen.join(", no ")) };
-    format!(
-        "Not fitted, and in the error bars with the size that the images show, RMS of each: {}{none}.",
-        parts.join(", ")
-    )
+/// What the modes leave out, and errors within their tolerances, where the images show any.
+pub(super) fn left_out_remarks(left_out: &WithLeftOut) -> Vec<String> {
+    let seen = left_out.terms.iter().filter(|term| term.size >= LEAST_SIZE);
+    let sizes: Vec<String> = seen.map(|term| format!("{} {:.1} {}", term.name, term.size, term.unit)).collect();
+    let of_modes = (!sizes.is_empty()).then(|| {
+        format!(
+            "Not fitted, but in the maps and the error bars, with the RMS that the images show: {}.",
+            sizes.join(", ")
+        )
+    });
+    let sentence = |error: &ModelError| {
+        format!("The images show an error within its tolerance, which the error bars hold: {error}.")
+    };
+    of_modes.into_iter().chain(left_out.shown_errors(false).map(sentence)).collect()
+}
+
+/// Remark on an estimate of `scene` whose error bars are asked to hold no more than the noise.
+pub(super) fn noise_alone_remark(scene: &Scene) -> Option<String> {
+    (scene.estimate.posterior == Some(false)).then(|| {
+        "The error bars hold the noise, and not what the modes leave out of the wavefront and of the camera (estimate.posterior = false).".into()
+    })
 }

@@ -4,28 +4,27 @@
 use super::estimate::{Figures, WithoutStaircases};
 use super::modal::ExpectedErrors;
 use crate::Result;
-use crate::modal::{self, CombinedModes, Model, WithLeftOut};
+use crate::modal::{self, Model, WithLeftOut};
 
 /// How many times the error bar of the phasing without these shapes that with them is, from which
 /// both are given.
 const REMARKABLE: f64 = 1.5;
 
 impl WithoutStaircases {
-    /// That of an estimate with these `modes` and `figures`; `None` where the images divide the
+    /// That of an estimate with these `figures`; `None` where the images divide the
     /// three shapes.
     ///
     /// # Errors
     /// Those of the maps.
     pub(super) fn of(
         (errors, model): (&ExpectedErrors, &Model),
-        modes: &CombinedModes,
         left_out: Option<&WithLeftOut>,
         figures: &Figures,
     ) -> Result<Option<Self>> {
         let Some(left_out) = left_out else { return Ok(None) };
-        let Some(found) = modal::WithoutStaircases::new(model, modes)? else { return Ok(None) };
+        let Some(found) = modal::WithoutStaircases::new(model, &left_out.whole)? else { return Ok(None) };
         let modal::WithoutStaircases { modes, maps, sigma_maps } = found;
-        let sigma_nm = errors.with_left_out_nm(&modes.covariance_nm2, Some(left_out))?;
+        let sigma_nm = errors.of_whole_nm(&modes.covariance_nm2)?;
         let without = Figures::new(&model.telescope.pupil, &maps, sigma_nm)?;
         let is_open = figures.phasing.sigma_nm > REMARKABLE * without.phasing.sigma_nm;
         Ok(is_open.then_some(Self { figures: without, maps, sigma_maps }))

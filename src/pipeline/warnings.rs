@@ -103,17 +103,14 @@ pub(super) fn modal_warnings(
     sentences
 }
 
-/// Warnings on errors of the optics and the camera that the images show.
+/// Warnings on errors of the optics and the camera beyond their tolerances that the images show.
 pub(super) fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
     let sentence = |error: &ModelError| {
-        let ModelError { name, value, sigma, tolerance, significance } = error;
         format!(
-            "these images show an error that the scene does not have: {name} is off by {value:.2e} ± {sigma:.0e} ({:.0} standard deviations; up \
-             to {tolerance:.0e} is expected): correct it in the scene, or in the reduction",
-            significance.abs()
+            "these images show an error that the scene does not have: {error}: correct it in the scene, or in the reduction"
         )
     };
-    left_out.shown_errors().map(sentence).collect()
+    left_out.shown_errors(true).map(sentence).collect()
 }
 
 /// Warning on combinations of modes that the images do not show.

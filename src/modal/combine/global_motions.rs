@@ -10,7 +10,7 @@ use crate::modal::model::Model;
 use crate::modes::{Basis, Direction};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayViewMut1, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, s};
 use std::ops::Range;
 
 /// Share of tip or tilt (RMS) outside the modes of the NCPA up to which they span it. The basis is
@@ -139,10 +139,15 @@ impl GlobalMotions {
         columns - &amounts.t().dot(&motions.dot(columns))
     }
 
+    /// Columns of coefficients, `[mode, column]`, from which the motions were removed.
+    pub(in crate::modal) fn removed_from_rows(&self, rows: &ArrayView2<f64>) -> Array2<f64> {
+        rows - &self.motions.t().dot(&self.amounts.dot(rows))
+    }
+
     /// The covariance of coefficients from which the motions were removed.
     pub(crate) fn removed_from(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
         // P C Pᵀ with P = 1 − Mᵀ A.
-        let rows = covariance_nm2 - self.motions.t().dot(&self.amounts.dot(covariance_nm2));
+        let rows = self.removed_from_rows(&covariance_nm2.view());
         let both = &rows - rows.dot(&self.amounts.t()).dot(&self.motions);
         // Symmetric to the last bit, which an eigen-decomposition may need.
         (&both + &both.t()) * 0.5

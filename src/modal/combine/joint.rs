@@ -170,13 +170,20 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
     };
     let mut coefficients_nm = found.solution.slice(s![..count]).to_vec();
     first.motions.remove(&mut coefficients_nm);
-    let modes = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2: of_modes(&found.covariance) })?;
-    let left_out = with_step.map(|WithStep { step, groups, .. }| {
-        WithLeftOut::new(model, &groups, &step.found, (modes.clone(), of_modes(&step.added)))
-    });
+    let likelihood = CombinedModes { coefficients_nm, covariance_nm2: of_modes(&found.covariance) };
+    let modes = with_prior(model, likelihood.clone())?;
+    let (mut maps, mut sigma_maps, mut left_out) =
+        (StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes), None);
+    if let Some(WithStep { modes: own, step, groups, .. }) = with_step {
+        let scale = disagreement.0.max(1.0);
+        let mut with = WithLeftOut::new((own, &first.motions), &groups, &step, likelihood, scale);
+        with.whole.take_prior(model)?;
+        [maps, sigma_maps] = with.whole.maps(model);
+        left_out = Some(with);
+    }
     Ok(JointEstimate {
-        maps: StaticMaps::of_modes(model, &modes),
-        sigma_maps: StaticMaps::of_error_bars(model, &modes),
+        maps,
+        sigma_maps,
         modes,
         defocus: amplitude.and_then(|optic| fitted_defocus(optic, channels, &found, share)),
         left_out,

@@ -11,25 +11,30 @@ use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::diversity_error::ModeProjector;
 use crate::modal::combine::global_motions::GlobalMotions;
 use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::left_out::WholeWavefront;
 use crate::modal::model::Model;
 use ndarray::{Array1, Array2};
 
 /// An estimate without focus and astigmatisms of the whole pupil: without staircases in the
 /// segments, and without the smooth ones in the NCPA.
 pub(crate) struct WithoutStaircases {
+    /// All modes of the wavefront.
     pub(crate) modes: CombinedModes,
     pub(crate) maps: StaticMaps,
     pub(crate) sigma_maps: StaticMaps,
 }
 
 impl WithoutStaircases {
-    /// That of `modes`; `None` where segments have no tips and tilts, or there are no NCPA.
+    /// That of `whole`; `None` where the segments of `model` have no tips and tilts, fitted or left
+    /// out, or there are no NCPA.
     ///
     /// # Errors
     /// Those of [`ModeProjector::new`].
-    pub(crate) fn new(model: &Model, modes: &CombinedModes) -> Result<Option<Self>> {
-        let (basis, pupil, segments) = (&model.basis, &model.telescope.pupil, model.segment_modes);
-        if model.pistons() == 0 || segments == model.pistons() || segments == basis.len() {
+    pub(crate) fn new(model: &Model, whole: &WholeWavefront) -> Result<Option<Self>> {
+        let (basis, pupil, segments) = (whole.basis(), &model.telescope.pupil, whole.segment_modes());
+        // Pistons, tips and tilts are the first modes of the segments.
+        let motions = 3 * model.pistons();
+        if motions == 0 || segments < motions || segments == basis.len() {
             return Ok(None);
         }
         let weight = &pupil.amplitude / pupil.weight_sum();
@@ -44,18 +49,18 @@ impl WithoutStaircases {
             // Piston, tip and tilt of a segment are orthogonal.
             let along = basis.along(&(&map * &weight))?;
             let share = |mode: usize| if squares[mode] > 0.0 { along[mode] / squares[mode] } else { 0.0 };
-            let is_its = |mode: usize| if mode < segments { share(mode) } else { 0.0 };
+            let is_its = |mode: usize| if mode < motions { share(mode) } else { 0.0 };
             staircases.push(Array1::from_shape_fn(basis.len(), is_its));
             smooth.push(projector.project(basis, &map)?.coefficients_nm);
         }
         let staircases = GlobalMotions::of_shapes(staircases, &gram, 0..segments)?;
         let smooth = GlobalMotions::of_shapes(smooth, &gram, segments..basis.len())?;
-        let mut coefficients_nm = modes.coefficients_nm.clone();
+        let mut coefficients_nm = whole.modes.coefficients_nm.clone();
         staircases.remove(&mut coefficients_nm);
         smooth.remove(&mut coefficients_nm);
-        let covariance_nm2 = smooth.removed_from(&staircases.removed_from(&modes.covariance_nm2));
-        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
-        let (maps, sigma_maps) = (StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes));
-        Ok(Some(Self { modes, maps, sigma_maps }))
+        let covariance_nm2 = smooth.removed_from(&staircases.removed_from(&whole.modes.covariance_nm2));
+        let whole = whole.with(CombinedModes { coefficients_nm, covariance_nm2 });
+        let [maps, sigma_maps] = whole.maps(model);
+        Ok(Some(Self { modes: whole.modes, maps, sigma_maps }))
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::model::Model;
-use crate::modes::Group;
+use crate::modes::Basis;
 use ndarray::Array2;
 
 /// Segment errors and non-common path aberrations, or the error bars of both (1σ): maps `[y, x]`,
@@ -18,18 +18,32 @@ pub struct StaticMaps {
 impl StaticMaps {
     /// The maps of `modes`.
     pub(in crate::modal) fn of_modes(model: &Model, modes: &CombinedModes) -> Self {
-        let map_nm = |group| model.map_nm(&modes.coefficients_nm, group);
-        Self { phasing_nm: map_nm(Group::Segment), ncpa_nm: map_nm(Group::Ncpa) }
+        Self::of(model, (&model.basis, model.segment_modes), modes)
     }
 
-    /// The error bars of [`StaticMaps::of_modes`]: √ of the diagonal of M C Mᵀ over the pupil, for
-    /// the modes of each group.
+    /// The error bars of [`StaticMaps::of_modes`].
     pub(in crate::modal) fn of_error_bars(model: &Model, modes: &CombinedModes) -> Self {
-        let sigma_nm = |group| {
-            let variance_nm2 = model.basis.variance(&modes.covariance_nm2, model.modes_of(group));
+        Self::error_bars_of(model, (&model.basis, model.segment_modes), modes)
+    }
+
+    /// The maps of `modes` of `basis`, the first `segments` of which are those of segments.
+    pub(in crate::modal) fn of(model: &Model, (basis, segments): (&Basis, usize), modes: &CombinedModes) -> Self {
+        let map_nm = |part| model.outside_to_nan(basis.combined(&modes.coefficients_nm, part));
+        Self { phasing_nm: map_nm(0..segments), ncpa_nm: map_nm(segments..basis.len()) }
+    }
+
+    /// The error bars of [`StaticMaps::of`]: √ of the diagonal of M C Mᵀ over the pupil, for the
+    /// modes of each group.
+    pub(in crate::modal) fn error_bars_of(
+        model: &Model,
+        (basis, segments): (&Basis, usize),
+        modes: &CombinedModes,
+    ) -> Self {
+        let sigma_nm = |part| {
+            let variance_nm2 = basis.variance(&modes.covariance_nm2, part);
             model.outside_to_nan(variance_nm2.mapv(|v| v.max(0.0).sqrt()))
         };
-        Self { phasing_nm: sigma_nm(Group::Segment), ncpa_nm: sigma_nm(Group::Ncpa) }
+        Self { phasing_nm: sigma_nm(0..segments), ncpa_nm: sigma_nm(segments..basis.len()) }
     }
 
     /// Phasing and NCPA together, `[y, x]`, nm.

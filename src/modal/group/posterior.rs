@@ -6,7 +6,6 @@ use crate::Result;
 use crate::modal::assess::fisher::null_floor;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::JointEstimate;
-use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
@@ -170,15 +169,14 @@ impl GroupPosterior {
                 continue;
             }
             let own = |all: &Array2<f64>| fitter.motions.removed_from(&all.slice(s![..modes, ..modes]).to_owned());
-            let (noise_nm2, added_nm2) = (own(&step.noise), own(&step.added));
             let amplitude = group.unknowns.amplitude().map(|place| {
                 let variance = step.noise[[place, place]] + step.added[[place, place]];
                 [step.change[place], variance.sqrt()].map(|nm| nm / group.amplitude_unit_nm())
             });
             let mut coefficients_nm = (&at + &step.change).slice(s![..modes]).to_vec();
             fitter.motions.remove(&mut coefficients_nm);
-            let combined = CombinedModes { coefficients_nm, covariance_nm2: noise_nm2 + &added_nm2 };
-            let left_out = WithLeftOut::new(&fitter.model, &groups, &step.found, (combined, added_nm2));
+            let combined = CombinedModes { coefficients_nm, covariance_nm2: own(&step.noise) + own(&step.added) };
+            let left_out = WithLeftOut::new((left_out, &fitter.motions), &groups, &step, combined, 1.0);
             return Ok(Self { left_out: WithLeftOut { explained_chi2, ..left_out }, consistency, amplitude });
         }
         unreachable!("the second step is the last")
@@ -187,8 +185,7 @@ impl GroupPosterior {
     /// Puts what was found in place of that of the fit.
     pub(super) fn apply(&self, joint: &mut JointEstimate, fitter: &ModalFitter) {
         joint.modes = self.left_out.modes.clone();
-        joint.maps = StaticMaps::of_modes(&fitter.model, &joint.modes);
-        joint.sigma_maps = StaticMaps::of_error_bars(&fitter.model, &joint.modes);
+        [joint.maps, joint.sigma_maps] = self.left_out.whole.maps(&fitter.model);
         joint.disagreement = self.consistency.of_all;
         joint.left_out = Some(self.left_out.clone());
         if let (Some(fitted), Some([change, sigma])) = (&mut joint.defocus, self.amplitude) {

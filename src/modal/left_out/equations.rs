@@ -78,12 +78,12 @@ impl LeftOut {
         }
         let mut coefficients_nm = (&at + &step.change).to_vec();
         motions.remove(&mut coefficients_nm);
-        let added_nm2 = motions.removed_from(&step.added);
         let with_noise = |noise: &Array2<f64>| &likelihood.covariance_nm2 - noise_nm2 + motions.removed_from(noise);
-        let modes = CombinedModes { coefficients_nm, covariance_nm2: with_noise(&step.noise) + &added_nm2 };
+        let covariance_nm2 = with_noise(&step.noise) + motions.removed_from(&step.added);
+        let modes = CombinedModes { coefficients_nm, covariance_nm2 };
         let own = information.slice(s![..self.fitted, ..self.fitted]).to_owned() / scale;
         let alone = CombinedModes { covariance_nm2: with_noise(&pseudo_inverse(&own, floor)?), ..likelihood.clone() };
-        let found = WithLeftOut::new(model, &self.groups, &step.found, (modes, added_nm2));
+        let found = WithLeftOut::new((self, motions), &self.groups, &step, modes, 1.0);
         let own = OwnEquations { information, score, scale, pixels };
         Ok((WithLeftOut { explained_chi2, ..found }, alone, own))
     }

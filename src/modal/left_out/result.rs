@@ -2,22 +2,28 @@
 
 use crate::empirical_bayes::Posterior;
 use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::left_out::AMPLITUDE_UNIT;
+use crate::modal::combine::global_motions::GlobalMotions;
 use crate::modal::left_out::groups::{Group, Of};
-use crate::modal::model::Model;
-use ndarray::Array2;
+use crate::modal::left_out::step::Step;
+use crate::modal::left_out::whole::WholeWavefront;
+use crate::modal::left_out::{AMPLITUDE_UNIT, LeftOut};
+use ndarray::{Array2, s};
+use std::fmt::{Display, Formatter};
 
 /// Standard deviations from which an error is named: of fifteen, one is beyond by chance in one
 /// estimate of 1,000.
 const SIGNIFICANT: f64 = 4.0;
-/// Share of the tolerance from which it is: at a peak S/N of 500 the approximations of the model
-/// are a tenth of that of the response.
-const REMARKABLE: f64 = 0.25;
+/// Share of the tolerance from which it is: at a peak S/N of 500 the samples of a simulated pupil
+/// show as a half of that of a blur.
+const REMARKABLE: f64 = 0.6;
 
 /// Share of the significance of the clearest error from which another is named: the step is linear,
 /// and the second order of an error lights others. A scale that is 0.1 % off along both axes, each
 /// 38 standard deviations, lights a blur by 5.
 const SECOND_ORDER: f64 = 0.2;
+
+/// Standard deviations from which a figure that all segments share is shown.
+const SHOWN: f64 = 2.0;
 
 /// Modes with the errors of what was left out.
 #[derive(Debug, Clone)]
@@ -26,8 +32,8 @@ pub(crate) struct WithLeftOut {
     pub(crate) modes: CombinedModes,
     /// The part of the covariance that what was left out adds.
     pub(crate) added_nm2: Array2<f64>,
-    /// RMS of what was left out of the phasing, which the map does not have, nm.
-    pub(crate) phasing_nm: f64,
+    /// Modes and what was left out of the wavefront.
+    pub(crate) whole: WholeWavefront,
     /// How large each group is.
     pub(crate) terms: Vec<LeftOutTerm>,
     /// Errors of the optics and the camera.
@@ -38,23 +44,29 @@ pub(crate) struct WithLeftOut {
 
 impl WithLeftOut {
     /// Errors of the optics and the camera that the images show, and that are not small beside
-    /// their tolerances.
-    pub(crate) fn shown_errors(&self) -> impl Iterator<Item = &ModelError> {
+    /// their tolerances: those that exceed these, or those that do not.
+    pub(crate) fn shown_errors(&self, beyond: bool) -> impl Iterator<Item = &ModelError> {
         let most = self.errors.iter().map(|error| error.significance.abs()).fold(0.0, f64::max);
         let least = SIGNIFICANT.max(SECOND_ORDER * most);
         let is_shown = move |error: &&ModelError| {
-            error.significance.abs() > least && error.value.abs() > REMARKABLE * error.tolerance
+            let share = error.value.abs() / error.tolerance;
+            error.significance.abs() > least && share > REMARKABLE && (share > 1.0) == beyond
         };
         self.errors.iter().filter(is_shown)
     }
 
-    /// `modes`, in which what was left out has the posterior `found`, and adds `added_nm2`.
+    /// `modes` of an estimate that has taken `step`, whose covariances are to be multiplied by
+    /// `scale`, with what `left_out` has in `groups`.
     pub(in crate::modal) fn new(
-        model: &Model,
+        (left_out, motions): (&LeftOut, &GlobalMotions),
         groups: &[Group],
-        found: &Posterior,
-        (modes, added_nm2): (CombinedModes, Array2<f64>),
+        step: &Step,
+        modes: CombinedModes,
+        scale: f64,
     ) -> Self {
+        let (found, count) = (&step.found, modes.coefficients_nm.len());
+        let added_nm2 = motions.removed_from(&step.added.slice(s![..count, ..count]).to_owned()) * scale;
+        let whole = WholeWavefront::new((&left_out.whole, motions), step, &modes, scale);
         let (mut terms, mut errors) = (Vec::new(), Vec::new());
         for (group, &rms) in groups.iter().zip(&found.prior_rms_nm) {
             match group.of {
@@ -62,31 +74,15 @@ impl WithLeftOut {
                 Of::Amplitudes => {
                     terms.push(LeftOutTerm { name: group.name.clone(), size: 100.0 * AMPLITUDE_UNIT * rms, unit: "%" })
                 }
+                // The size of its prior is a tolerance.
+                Of::AllSegments => {
+                    let size = group.shown_rms(found).unwrap_or_default();
+                    terms.push(LeftOutTerm { name: group.name.clone(), size, unit: "nm" })
+                }
                 _ => terms.push(LeftOutTerm { name: group.name.clone(), size: rms, unit: "nm" }),
             }
         }
-        let phasing_nm = Self::phasing_nm(groups, model, found);
-        Self { modes, added_nm2, phasing_nm, terms, errors, explained_chi2: Vec::new() }
-    }
-
-    /// RMS over the pupil of what is left out of the segments, nm, which the maps do not have:
-    /// modes of a segment have the share of its area.
-    fn phasing_nm(groups: &[Group], model: &Model, found: &Posterior) -> f64 {
-        let areas = model.telescope.pupil.segment_areas();
-        let total: f64 = areas.iter().sum();
-        let mut square_nm2 = 0.0;
-        for group in groups {
-            for (place, column) in group.columns.clone().enumerate() {
-                let share = match group.of {
-                    Of::Tilts => areas[place % areas.len()] / total,
-                    Of::Figures => areas[place / 3] / total,
-                    Of::AllSegments => 1.0,
-                    Of::FittedTilts | Of::Ncpa | Of::Amplitudes | Of::Tolerance(_) => 0.0,
-                };
-                square_nm2 += share * (found.coefficients_nm[column].powi(2) + found.covariance_nm2[[column, column]]);
-            }
-        }
-        square_nm2.sqrt()
+        Self { modes, added_nm2, whole, terms, errors, explained_chi2: Vec::new() }
     }
 }
 
@@ -108,6 +104,17 @@ pub struct ModelError {
     pub significance: f64,
 }
 
+impl Display for ModelError {
+    fn fmt(&self, f: &mut Formatter) -> std::fmt::Result {
+        let Self { name, value, sigma, tolerance, significance } = self;
+        let deviations = significance.abs();
+        write!(
+            f,
+            "{name} is off by {value:.2e} ± {sigma:.0e} ({deviations:.0} standard deviations; up to {tolerance:.0e} is expected)"
+        )
+    }
+}
+
 /// Modes that were left out of the fit, and how large the images say they are.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LeftOutTerm {
@@ -119,6 +126,15 @@ pub(crate) struct LeftOutTerm {
 }
 
 impl Group {
+    /// RMS of the modes of this group together, which are orthonormal; `None` where the images do
+    /// not show it.
+    fn shown_rms(&self, found: &Posterior) -> Option<f64> {
+        let of = self.columns.clone();
+        let square: f64 = of.clone().map(|column| found.coefficients_nm[column].powi(2)).sum();
+        let variance: f64 = of.map(|column| found.covariance_nm2[[column, column]]).sum();
+        (square > SHOWN.powi(2) * variance).then(|| square.sqrt())
+    }
+
     /// The error that this group is of, whose prior standard deviation is `tolerance`.
     fn error(&self, tolerance: f64, found: &Posterior) -> ModelError {
         let place = self.columns.start;

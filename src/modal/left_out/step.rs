@@ -34,6 +34,8 @@ pub(in crate::modal) struct Step {
     pub(in crate::modal) noise: Array2<f64>,
     /// What that adds.
     pub(in crate::modal) added: Array2<f64>,
+    /// How they follow what has a prior, `[unknown, with prior]`.
+    pub(in crate::modal) follow: Array2<f64>,
     /// Change of the unknowns with a prior, those of the fit first.
     pub(in crate::modal) with_prior_change: Array1<f64>,
     /// Gauss-Newton matrix of these, where the others follow them.
@@ -84,7 +86,7 @@ impl Step {
         }
         change += &follow.dot(&with_prior_change);
         let added = follow.dot(&found.covariance_nm2).dot(&follow.t());
-        Ok(Self { change, noise, added, with_prior_change, left, found })
+        Ok(Self { change, noise, added, follow, with_prior_change, left, found })
     }
 }
 

@@ -77,6 +77,11 @@ impl Prior {
         Ok(metric.whitening().map(|whitening| Self { modes, whitening: whitening.to_owned() }))
     }
 
+    /// This prior where `count` other modes come before.
+    pub(in crate::modal) fn behind(&self, count: usize) -> Self {
+        Self { modes: self.modes.start + count..self.modes.end + count, whitening: self.whitening.clone() }
+    }
+
     /// Posterior of coefficients whose likelihood is normal, with this mean and covariance.
     ///
     /// # Errors

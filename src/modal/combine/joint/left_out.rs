@@ -20,7 +20,9 @@ use crate::modal::left_out::{Equations, Group, LeftOut, OwnEquations, Step, has_
 use ndarray::{Array1, Array2, s};
 
 /// The combination of channels, with what their modes leave out.
-pub(super) struct WithStep {
+pub(super) struct WithStep<'a> {
+    /// What the first channel leaves out.
+    pub(super) modes: &'a LeftOut,
     pub(super) step: Step,
     pub(super) groups: Vec<Group>,
     /// The combination, with the covariance of noise and of what was left out.
@@ -63,14 +65,14 @@ impl Reduced {
     }
 }
 
-impl WithStep {
+impl<'a> WithStep<'a> {
     /// Marginalises what is left out of the combination `found` of `likelihoods`; `None` where a
     /// channel does not know it.
     ///
     /// # Errors
     /// Those of [`Step::new`].
     pub(super) fn of(
-        channels: &[(&ModalFitter, &ModalEstimate)],
+        channels: &[(&'a ModalFitter, &'a ModalEstimate)],
         names: &[String],
         likelihoods: &[Likelihood],
         found: &Normal,
@@ -130,6 +132,6 @@ impl WithStep {
             ..*found
         };
         let disagreement = combined.disagreement(&moved.collect::<Vec<_>>());
-        Ok(Some(Self { step, groups, combined, disagreement }))
+        Ok(Some(Self { modes: first, step, groups, combined, disagreement }))
     }
 }
