@@ -124,6 +124,8 @@ pub struct ModalEstimate {
     /// The combined modes without a prior and without the errors that all images share, as if
     /// nothing was left out.
     likelihood: CombinedModes,
+    /// Report of each image by its modes alone, where what they leave out was marginalised.
+    by_modes: Option<Vec<ImageReport>>,
     /// What the modes leave out, where that was marginalised.
     left_out: Option<WithLeftOut>,
     /// The equations of what is left out, for a combination with other channels.
@@ -139,6 +141,11 @@ impl ModalEstimate {
     /// nothing was left out.
     pub(super) fn likelihood(&self) -> &CombinedModes {
         &self.likelihood
+    }
+
+    /// Report of an image by its modes alone, before what these leave out explains a part of χ².
+    pub(crate) fn report_by_modes(&self, image: usize) -> &ImageReport {
+        &self.by_modes.as_ref().unwrap_or(&self.images)[image]
     }
 
     /// What the modes leave out, where it is marginalised.
@@ -231,7 +238,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
     let centre_nm = centre(motions, &fitted_nm.select(Axis(0), &used), how);
     let mut likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
-    let (mut combined, mut left_out, mut left_out_equations) = (likelihood.clone(), None, None);
+    let (mut combined, mut left_out, mut left_out_equations, mut by_modes) = (likelihood.clone(), None, None, None);
     if let Some(modes) = fitter.left_out()? {
         let fits: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
         let noise_nm2 = &single.noise_nm2 * shrinkage + &single.shared_nm2;
@@ -243,6 +250,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
             let chi2 = &mut minima[place].chi2;
             chi2.value -= explained / chi2.freedom;
         }
+        by_modes = Some(images.clone());
         for (&image, report) in indices.iter().zip(assess_all(fitter, prepared, minima)) {
             // In a wrong minimum what was left out explains a part of χ², in a right one all of it.
             let is_explained = report.reduced_chi2 <= report.suspicious_chi2;
@@ -268,6 +276,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
         images,
         image_coefficients_nm: coefficients_nm,
         likelihood,
+        by_modes,
         left_out,
         left_out_equations,
         is_of_group: false,

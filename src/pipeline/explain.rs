@@ -5,7 +5,7 @@ use super::misfit;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{self, Selected};
 use crate::Result;
-use crate::modal::ModalEstimate;
+use crate::modal::{ModalEstimate, Status};
 use crate::scene::Scene;
 use std::time::Instant;
 
@@ -13,9 +13,9 @@ use std::time::Instant;
 /// image.
 const MEAN_RESIDUAL_MISFIT: f64 = 2.0;
 
-/// Whether the mean of several images has a residual that the model does not explain.
-pub(super) fn is_mean_misfit(found: &ModalEstimate) -> bool {
-    found.used() > 1 && found.mean_residual_chi2 > MEAN_RESIDUAL_MISFIT
+/// Whether the mean of `images` images, whose residual has this reduced χ², is not explained.
+pub(super) fn is_mean_misfit(images: usize, mean_residual_chi2: f64) -> bool {
+    images > 1 && mean_residual_chi2 > MEAN_RESIDUAL_MISFIT
 }
 
 /// Looks for the cause of the residual of `fitted`, and for a larger model that explains the
@@ -24,8 +24,12 @@ pub(super) fn is_mean_misfit(found: &ModalEstimate) -> bool {
 /// # Errors
 /// Those of the fits, and [`crate::Error::Interrupted`].
 pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
-    // Only a misfit asks for a cause.
-    let (is_explained, is_mean_misfit) = (fitted.is_explained(), is_mean_misfit(&fitted.fit.1));
+    // Only a misfit asks for a cause: by the modes, because a larger model fits what is large
+    // better than one linear step.
+    let found = &fitted.fit.1;
+    let is_ok = |&image: &usize| found.report_by_modes(image).status == Status::Ok;
+    let is_explained = fitted.is_explained() && found.combined.used_images.iter().all(is_ok);
+    let is_mean_misfit = is_mean_misfit(found.used(), found.mean_residual_chi2);
     if is_explained && !is_mean_misfit {
         return Ok(());
     }
@@ -33,6 +37,10 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     task.control.check("the images were fitted, the cause of a residual was not sought")?;
     if !is_explained {
         explain_image(task, fitted)?;
+        if fitted.selected.is_none() && fitted.is_explained() {
+            // What the modes leave out is the cause.
+            (fitted.cause, fitted.changes) = (None, None);
+        }
     }
     let is_static = fitted.changes.is_none_or(|chi2| chi2 < CHANGING);
     if is_mean_misfit && is_static && fitted.selected.is_none() && fitted.cause.is_none() {

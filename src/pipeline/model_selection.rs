@@ -116,10 +116,12 @@ struct Fit {
 
 impl Fit {
     fn of((fitter, found): &(ModalFitter, ModalEstimate), image: usize) -> Self {
+        // By the modes: what these leave out is no model that is compared.
+        let report = found.report_by_modes(image);
         Self {
-            reduced_chi2: found.images[image].reduced_chi2,
+            reduced_chi2: report.reduced_chi2,
             parameters: fitter.model().basis.len() + fitter.fitted_optics().len(),
-            is_explained: found.images[image].status == Status::Ok,
+            is_explained: report.status == Status::Ok,
         }
     }
 

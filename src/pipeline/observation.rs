@@ -11,6 +11,7 @@
 use super::estimate::Estimate;
 use super::estimator::Estimator;
 use super::images::Images;
+use super::modal::NOT_FITTED;
 use super::policy::Policy;
 use crate::control::{Control, Stage};
 use crate::scene::{Method, Optic, Scene};
@@ -259,8 +260,18 @@ fn flaw(found: &Estimate) -> Option<String> {
 /// nm².
 fn split(terms: &[ErrorTerm]) -> [[f64; 2]; 2] {
     let square = |term: &ErrorTerm| [term.phasing_nm.powi(2), term.ncpa_nm.powi(2)];
-    let shared = terms.iter().skip(1).map(square).fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
-    [terms.first().map_or([0.0; 2], square), shared]
+    let mut averaged = terms.first().map_or([0.0; 2], square);
+    let (noise, mut shared) = (averaged, [0.0; 2]);
+    for term in terms.iter().skip(1) {
+        for (part, own) in square(term).into_iter().enumerate() {
+            // Below the noise it is what images cannot exclude, which falls with that; above it
+            // what tolerances alone divide.
+            let falls = term.name == NOT_FITTED && own < noise[part];
+            let sum = if falls { &mut averaged } else { &mut shared };
+            sum[part] += own;
+        }
+    }
+    [averaged, shared]
 }
 
 /// Largest pistons about their mean whose whole wavelengths are determined by `wavelengths_nm`

@@ -303,8 +303,8 @@ fn images_named(images: &[usize], count: usize) -> String {
 
 /// Warning on an error of the model that only the mean of the images shows.
 fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
-    let chi2 = found.mean_residual_chi2;
-    is_mean_misfit(found).then(|| {
+    let chi2 = found.left_out().map_or(found.mean_residual_chi2, |left_out| left_out.mean_residual_chi2);
+    is_mean_misfit(found.used(), chi2).then(|| {
         format!(
             "the mean residual of the {} images is {:.1} times its noise (reduced χ² {chi2:.1}), which single images do not \
              show: the modes do not span what is there, or the scene differs from the instrument; {}",

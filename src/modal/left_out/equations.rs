@@ -85,7 +85,7 @@ impl LeftOut {
         let alone = CombinedModes { covariance_nm2: with_noise(&pseudo_inverse(&own, floor)?), ..likelihood.clone() };
         let found = WithLeftOut::new((self, motions), &self.groups, &step, modes, 1.0);
         let own = OwnEquations { information, score, scale, pixels };
-        Ok((WithLeftOut { explained_chi2, ..found }, alone, own))
+        Ok((WithLeftOut { explained_chi2, mean_residual_chi2: left_of_mean, ..found }, alone, own))
     }
 
     /// Change of the PSF by one unit of each unknown that is no mode.

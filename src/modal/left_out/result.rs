@@ -40,6 +40,8 @@ pub(crate) struct WithLeftOut {
     pub(crate) errors: Vec<ModelError>,
     /// χ² of each image that what was left out explains.
     pub(crate) explained_chi2: Vec<f64>,
+    /// What it leaves of the reduced χ² of the mean residual of several images.
+    pub(crate) mean_residual_chi2: f64,
 }
 
 impl WithLeftOut {
@@ -82,7 +84,7 @@ impl WithLeftOut {
                 _ => terms.push(LeftOutTerm { name: group.name.clone(), size: rms, unit: "nm" }),
             }
         }
-        Self { modes, added_nm2, whole, terms, errors, explained_chi2: Vec::new() }
+        Self { modes, added_nm2, whole, terms, errors, explained_chi2: Vec::new(), mean_residual_chi2: 1.0 }
     }
 }
 
