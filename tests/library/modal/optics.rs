@@ -10,12 +10,11 @@ use ndarray::Array3;
 const NO_NCPA: [(&str, &str); 3] =
     [("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("aberrations.ncpa_rms_nm", "0")];
 
-/// The estimator that `scene` makes of images of `made`, with error bars of the noise and of the
-/// optics that are fitted; with its residuals and what the error bars promise, nm.
+/// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars
+/// promise, nm.
 fn found(made: &Scene, scene: &Scene) -> (ModalFitter, [f64; 2], [f64; 2]) {
     let made = source::simulate(made).unwrap();
-    let scene = scene.with(&[super::NOISE_ALONE]).unwrap();
-    let (estimator, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
+    let (estimator, found) = estimate(scene, &made.images_e, &made.images_e.mapv(|_| false));
     let (residuals, promised) = (residuals(&estimator, &found, &made), promised(&estimator, &found));
     (estimator, residuals, promised)
 }
@@ -91,7 +90,7 @@ fn the_diffusion_of_charge_is_found() {
 #[ignore = "merge: 3 s"]
 fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     // As it is sampled where a plate scale is fitted.
-    let own = scene(&[("estimate.sampling", "native"), super::NOISE_ALONE]);
+    let own = scene(&[("estimate.sampling", "native")]);
     let made = source::simulate(&own).unwrap();
     let bad = made.images_e.mapv(|_| false);
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
