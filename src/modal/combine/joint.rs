@@ -172,15 +172,16 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
     first.motions.remove(&mut coefficients_nm);
     let likelihood = CombinedModes { coefficients_nm, covariance_nm2: of_modes(&found.covariance) };
     let modes = with_prior(model, likelihood.clone())?;
-    let (mut maps, mut sigma_maps, mut left_out) =
-        (StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes), None);
-    if let Some(WithStep { modes: own, step, groups, .. }) = with_step {
-        let scale = disagreement.0.max(1.0);
-        let mut with = WithLeftOut::new((own, &first.motions), &groups, &step, likelihood, scale);
-        with.whole.take_prior(model)?;
-        [maps, sigma_maps] = with.whole.maps(model);
-        left_out = Some(with);
-    }
+    let mut left_out = with_step.map(|WithStep { modes: own, step, groups, .. }| {
+        WithLeftOut::new((own, &first.motions), &groups, &step, likelihood, disagreement.0.max(1.0))
+    });
+    let [maps, sigma_maps] = match &mut left_out {
+        Some(left_out) => {
+            left_out.whole.take_prior(model)?;
+            left_out.whole.maps(model)
+        }
+        None => [StaticMaps::of_modes(model, &modes), StaticMaps::of_error_bars(model, &modes)],
+    };
     Ok(JointEstimate {
         maps,
         sigma_maps,
