@@ -57,9 +57,22 @@ impl MapGram {
     /// # Errors
     /// Those of [`Basis::gram`].
     pub fn of_basis(pupil: &Pupil, basis: &Basis) -> Result<Self> {
+        Self::of_products(pupil, basis, basis.gram(&(&pupil.amplitude / pupil.weight_sum()))?)
+    }
+
+    /// As [`MapGram::of_basis`], from the mean `products` of the modes over the pupil.
+    ///
+    /// # Errors
+    /// Those of [`Basis::along`].
+    pub(crate) fn of_products(pupil: &Pupil, basis: &Basis, products: Array2<f64>) -> Result<Self> {
         let weight = &pupil.amplitude / pupil.weight_sum();
         let [piston, tip, tilt] = Self::planes(pupil).map(|plane| basis.along(&(plane * &weight)));
-        Ok(Self::from_products(basis.gram(&weight)?, [piston?, tip?, tilt?]))
+        Ok(Self::from_products(products, [piston?, tip?, tilt?]))
+    }
+
+    /// That of the modes at `places` alone.
+    pub(crate) fn of_modes(&self, places: &[usize]) -> Self {
+        Self { products: self.products.select(Axis(0), places).select(Axis(1), places) }
     }
 
     /// Gram matrix from the mean products over the pupil of the maps with each other (piston, tip
@@ -118,7 +131,9 @@ impl MapGram {
                 "a covariance of {rows}x{columns} was given for {modes} modes; {modes}x{modes} is needed"
             )));
         }
-        Ok((&products * &covariance_nm2.t()).sum().max(0.0).sqrt())
+        // G is symmetric.
+        let trace = Zip::from(&products).and(&covariance_nm2).fold(0.0, |sum, own, nm2| sum + own * nm2);
+        Ok(trace.max(0.0).sqrt())
     }
 }
 

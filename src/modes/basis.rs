@@ -103,7 +103,7 @@ impl Basis {
         let lists = sparse.iter().zip(&names).flat_map(|(list, name)| list.iter().map(move |&(at, v)| (name, at, v)));
         let of_sparse = lists.map(|(name, at, v)| (name, [at as usize / samples, at as usize % samples], v));
         let maps = dense.outer_iter().zip(&names[sparse.len()..]);
-        let broken = maps.filter_map(|(map, name)| {
+        let broken = maps.filter(|(map, _)| !map.iter().all(|value| value.is_finite())).filter_map(|(map, name)| {
             map.indexed_iter().find(|(_, value)| !value.is_finite()).map(|((row, column), &v)| (name, [row, column], v))
         });
         if let Some((name, [row, column], value)) = of_sparse.filter(|(.., v)| !v.is_finite()).chain(broken).next() {
@@ -164,26 +164,25 @@ impl Basis {
     /// # Errors
     /// [`Error::Shape`] where the maps differ in shape; [`Error::Value`] where a name appears in
     /// both.
-    pub fn followed_by(&self, other: &Self) -> Result<Self> {
+    pub fn followed_by(mut self, other: Self) -> Result<Self> {
         let (left, right) = (self.samples(), other.samples());
         if left != right {
             return Err(Error::Shape(format!(
                 "bases on grids of {left} and {right} samples cannot be joined: one grid is needed"
             )));
         }
-        let join = |first: &Array3<f64>, then: &Array3<f64>| {
-            ndarray::concatenate(Axis(0), &[first.view(), then.view()]).map_err(|e| Error::Internal(e.to_string()))
-        };
         // Sparse modes come first; after a dense mode they are stored as dense.
-        let (sparse, dense) = if self.dense.is_empty() {
-            (self.sparse.iter().chain(&other.sparse).cloned().collect(), other.dense.clone())
-        } else if other.sparse.is_empty() {
-            (self.sparse.clone(), join(&self.dense, &other.dense)?)
+        let maps = (!self.dense.is_empty() && !other.sparse.is_empty()).then(|| other.maps());
+        let dense = maps.unwrap_or(other.dense);
+        if self.dense.is_empty() {
+            self.sparse.extend(other.sparse);
+            self.dense = dense;
         } else {
-            (self.sparse.clone(), join(&self.dense, &other.maps())?)
-        };
-        let names = self.names.iter().chain(&other.names).cloned().collect();
-        Self::checked(names, self.groups.iter().chain(&other.groups).copied().collect(), sparse, dense)
+            self.dense.append(Axis(0), dense.view()).map_err(|error| Error::Internal(error.to_string()))?;
+        }
+        self.names.extend(other.names);
+        self.groups.extend(other.groups);
+        Self::checked(self.names, self.groups, self.sparse, self.dense)
     }
 }
 

@@ -8,13 +8,12 @@ use super::policy::Policy;
 use super::{remarks, warnings};
 use crate::metrics::MapGram;
 use crate::modal::{self, Combination, FittedOptic, Model, WithLeftOut};
-use crate::modes::{self, Group};
-use crate::pupil::Pupil;
 use crate::scene::NollRange;
 use crate::statics::ErrorTerm;
 use crate::telescope::unit_remark;
 use crate::{Error, Result};
-use ndarray::Array2;
+use ndarray::{Array2, s};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Name of the term of the error budget that has what the modes leave out.
@@ -112,37 +111,38 @@ fn added_modes(recipe: &modal::Recipe, selected: Option<&str>) -> String {
 /// residual.
 pub(super) struct ExpectedErrors {
     fitted: MapErrors,
-    /// Of the fitted modes and of what was left out; `None` where nothing was.
-    whole: Option<MapErrors>,
+    /// Of the fitted modes and of what was left out, and the mean products of all these over the
+    /// pupil; `None` where nothing was.
+    whole: Option<(MapErrors, Array2<f64>)>,
 }
 
 /// [`ExpectedErrors`] of the modes of one basis.
 struct MapErrors {
     gram: MapGram,
-    groups: Vec<Group>,
+    /// The first modes are those of the segments.
+    segment_modes: usize,
 }
 
 impl MapErrors {
-    fn new(pupil: &Pupil, basis: &modes::Basis) -> Result<Self> {
-        Ok(Self { gram: MapGram::of_basis(pupil, basis)?, groups: basis.groups().to_vec() })
-    }
-
     fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
-        let rms_nm = |keep: &dyn Fn(Group) -> bool| {
-            let inside = |(k, l): (usize, usize)| keep(self.groups[k]) && keep(self.groups[l]);
-            let part =
-                Array2::from_shape_fn(covariance_nm2.dim(), |at| if inside(at) { covariance_nm2[at] } else { 0.0 });
-            self.gram.expected_rms_nm(part.view())
-        };
-        Ok([rms_nm(&|group| group == Group::Segment)?, rms_nm(&|group| group == Group::Ncpa)?, rms_nm(&|_| true)?])
+        let (segments, modes) = (self.segment_modes, covariance_nm2.nrows());
+        let rms_nm =
+            |of: Range<usize>| self.gram.expected_rms_of_nm(of.clone(), covariance_nm2.slice(s![of.clone(), of]));
+        Ok([rms_nm(0..segments)?, rms_nm(segments..modes)?, rms_nm(0..modes)?])
     }
 }
 
 impl ExpectedErrors {
     pub(super) fn new(model: &Model, left_out: Option<&WithLeftOut>) -> Result<Self> {
-        let pupil = &model.telescope.pupil;
-        let whole = left_out.map(|left_out| MapErrors::new(pupil, left_out.whole.basis())).transpose()?;
-        Ok(Self { fitted: MapErrors::new(pupil, &model.basis)?, whole })
+        let (pupil, segment_modes) = (&model.telescope.pupil, model.segment_modes);
+        let Some(whole) = left_out.map(|left_out| &left_out.whole) else {
+            let gram = MapGram::of_basis(pupil, &model.basis)?;
+            return Ok(Self { fitted: MapErrors { gram, segment_modes }, whole: None });
+        };
+        let products = whole.basis().gram(&(&pupil.amplitude / pupil.weight_sum()))?;
+        let gram = MapGram::of_products(pupil, whole.basis(), products.clone())?;
+        let fitted = MapErrors { gram: gram.of_modes(whole.fitted()), segment_modes };
+        Ok(Self { fitted, whole: Some((MapErrors { gram, segment_modes: whole.segment_modes() }, products)) })
     }
 
     /// Expected RMS of the errors of phasing, NCPA and their sum, of the fitted modes, nm.
@@ -152,8 +152,16 @@ impl ExpectedErrors {
 
     /// The same of the fitted modes and of what was left out, from the covariance of all.
     pub(super) fn of_whole_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
-        let Some(whole) = &self.whole else { return Err(Error::Internal("nothing was left out of the modes".into())) };
-        whole.rms_nm(covariance_nm2)
+        self.whole()?.0.rms_nm(covariance_nm2)
+    }
+
+    /// Mean products over the pupil of the fitted modes and of what was left out.
+    pub(super) fn products_of_whole(&self) -> Result<&Array2<f64>> {
+        Ok(&self.whole()?.1)
+    }
+
+    fn whole(&self) -> Result<&(MapErrors, Array2<f64>)> {
+        self.whole.as_ref().ok_or_else(|| Error::Internal("nothing was left out of the modes".into()))
     }
 
     /// The same of an estimate whose fitted modes have this covariance.

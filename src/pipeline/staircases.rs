@@ -1,10 +1,10 @@
 //! Phasing and NCPA without the shapes of the whole mirror that only a tolerance divides between
-//! the two: see [`crate::modal::WithoutStaircases`].
+//! the two: see `WholeWavefront::without_staircases`.
 
 use super::estimate::{Figures, WithoutStaircases};
 use super::modal::ExpectedErrors;
 use crate::Result;
-use crate::modal::{self, Model, WithLeftOut};
+use crate::modal::{Model, WithLeftOut};
 
 /// How many times the error bar of the phasing without these shapes that with them is, from which
 /// both are given.
@@ -22,12 +22,14 @@ impl WithoutStaircases {
         figures: &Figures,
     ) -> Result<Option<Self>> {
         let Some(left_out) = left_out else { return Ok(None) };
-        let Some(found) = modal::WithoutStaircases::new(model, &left_out.whole)? else { return Ok(None) };
-        let modal::WithoutStaircases { modes, maps, sigma_maps } = found;
-        let sigma_nm = errors.of_whole_nm(&modes.covariance_nm2)?;
-        let without = Figures::new(&model.telescope.pupil, &maps, sigma_nm)?;
-        let is_open = figures.phasing.sigma_nm > REMARKABLE * without.phasing.sigma_nm;
-        Ok(is_open.then_some(Self { figures: without, maps, sigma_maps }))
+        let found = left_out.whole.without_staircases(model, errors.products_of_whole()?)?;
+        let Some(found) = found else { return Ok(None) };
+        let sigma_nm = errors.of_whole_nm(&found.modes.covariance_nm2)?;
+        if figures.phasing.sigma_nm <= REMARKABLE * sigma_nm[0] {
+            return Ok(None);
+        }
+        let [maps, sigma_maps] = found.maps(model);
+        Ok(Some(Self { figures: Figures::new(&model.telescope.pupil, &maps, sigma_nm)?, maps, sigma_maps }))
     }
 
     /// What a user should know, where the estimate with the shapes has these `figures`.

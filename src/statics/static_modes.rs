@@ -76,7 +76,7 @@ impl StaticModes {
                 Some(GlobalMotions::of_segments(&segment_basis, pupil, segments + sampled.len())?)
             }
         };
-        let maps = segment_basis.followed_by(&sampled)?;
+        let maps = segment_basis.followed_by(sampled.clone())?;
         let gram = MapGram::of_basis(pupil, &maps)?;
         let projection = match is_loop_known {
             true => None,

@@ -95,8 +95,17 @@ impl ModeProjector {
     /// # Errors
     /// [`Error::Shape`] for a basis of another pupil.
     pub fn new(pupil: &Pupil, basis: &Basis, segment_modes: usize) -> Result<Self> {
-        let gram = basis.visible_gram(&pupil.amplitude)?;
-        let metric = Metric::from_gauss_newton(&gram.slice_move(s![segment_modes.., segment_modes..]), NULL_FLOOR)?;
+        Self::of_gram(pupil, &basis.visible_gram(&pupil.amplitude)?, segment_modes)
+    }
+
+    /// As [`ModeProjector::new`], from the products `gram` of the modes of a basis over `pupil`,
+    /// piston removed.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where no mode is left.
+    pub(in crate::modal) fn of_gram(pupil: &Pupil, gram: &Array2<f64>, segment_modes: usize) -> Result<Self> {
+        let own = gram.slice(s![segment_modes.., segment_modes..]).to_owned();
+        let metric = Metric::from_gauss_newton(&own, NULL_FLOOR)?;
         Ok(Self { weight: &pupil.amplitude / pupil.weight_sum(), metric, segment_modes })
     }
 

@@ -10,36 +10,28 @@ use crate::Result;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::diversity_error::ModeProjector;
 use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::left_out::WholeWavefront;
 use crate::modal::model::Model;
 use ndarray::{Array1, Array2};
 
-/// An estimate without focus and astigmatisms of the whole pupil: without staircases in the
-/// segments, and without the smooth ones in the NCPA.
-pub(crate) struct WithoutStaircases {
-    /// All modes of the wavefront.
-    pub(crate) modes: CombinedModes,
-    pub(crate) maps: StaticMaps,
-    pub(crate) sigma_maps: StaticMaps,
-}
-
-impl WithoutStaircases {
-    /// That of `whole`; `None` where the segments of `model` have no tips and tilts, fitted or left
-    /// out, or there are no NCPA.
+impl WholeWavefront {
+    /// This without focus and astigmatisms of the whole pupil: without staircases in the segments,
+    /// and without the smooth ones in the NCPA; `None` where the segments of `model` have no tips
+    /// and tilts, fitted or left out, or there are no NCPA. `products` are the mean products of all
+    /// its modes over the pupil.
     ///
     /// # Errors
-    /// Those of [`ModeProjector::new`].
-    pub(crate) fn new(model: &Model, whole: &WholeWavefront) -> Result<Option<Self>> {
-        let (basis, pupil, segments) = (whole.basis(), &model.telescope.pupil, whole.segment_modes());
+    /// Those of [`ModeProjector::of_gram`].
+    pub(crate) fn without_staircases(&self, model: &Model, products: &Array2<f64>) -> Result<Option<Self>> {
+        let (basis, pupil, segments) = (self.basis(), &model.telescope.pupil, self.segment_modes());
         // Pistons, tips and tilts are the first modes of the segments.
         let motions = 3 * model.pistons();
         if motions == 0 || segments < motions || segments == basis.len() {
             return Ok(None);
         }
         let weight = &pupil.amplitude / pupil.weight_sum();
-        let (squares, gram) = (basis.mean_squares(&pupil.amplitude)?, basis.visible_gram(&pupil.amplitude)?);
-        let projector = ModeProjector::new(pupil, basis, segments)?;
+        let (squares, gram) = (products.diag(), basis.without_means(products.clone(), &weight)?);
+        let projector = ModeProjector::of_gram(pupil, &gram, segments)?;
         let (mut staircases, mut smooth) = (Vec::new(), Vec::new());
         for kind in 0..3 {
             let map = Array2::from_shape_fn(weight.dim(), |(y, x)| {
@@ -55,12 +47,10 @@ impl WithoutStaircases {
         }
         let staircases = GlobalMotions::of_shapes(staircases, &gram, 0..segments)?;
         let smooth = GlobalMotions::of_shapes(smooth, &gram, segments..basis.len())?;
-        let mut coefficients_nm = whole.modes.coefficients_nm.clone();
+        let mut coefficients_nm = self.modes.coefficients_nm.clone();
         staircases.remove(&mut coefficients_nm);
         smooth.remove(&mut coefficients_nm);
-        let covariance_nm2 = smooth.removed_from(&staircases.removed_from(&whole.modes.covariance_nm2));
-        let whole = whole.with(CombinedModes { coefficients_nm, covariance_nm2 });
-        let [maps, sigma_maps] = whole.maps(model);
-        Ok(Some(Self { modes: whole.modes, maps, sigma_maps }))
+        let covariance_nm2 = smooth.removed_from(&staircases.removed_from(&self.modes.covariance_nm2));
+        Ok(Some(self.with(CombinedModes { coefficients_nm, covariance_nm2 })))
     }
 }

@@ -3,6 +3,7 @@
 use crate::Result;
 use crate::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
 use crate::modal::assess::fisher::pseudo_inverse;
+use crate::modal::solve::gauss_newton::times_transposed;
 use ndarray::{Array1, Array2, Axis};
 use std::ops::Range;
 
@@ -34,8 +35,8 @@ pub(in crate::modal) struct Step {
     pub(in crate::modal) noise: Array2<f64>,
     /// What that adds.
     pub(in crate::modal) added: Array2<f64>,
-    /// How they follow what has a prior, `[unknown, with prior]`.
-    pub(in crate::modal) follow: Array2<f64>,
+    /// Their covariance with what has a prior, `[unknown, with prior]`.
+    pub(in crate::modal) with_left_out: Array2<f64>,
     /// Change of the unknowns with a prior, those of the fit first.
     pub(in crate::modal) with_prior_change: Array1<f64>,
     /// Gauss-Newton matrix of these, where the others follow them.
@@ -85,8 +86,10 @@ impl Step {
             follow[[unknown, place]] = 1.0;
         }
         change += &follow.dot(&with_prior_change);
-        let added = follow.dot(&found.covariance_nm2).dot(&follow.t());
-        Ok(Self { change, noise, added, follow, with_prior_change, left, found })
+        // The covariance is symmetric.
+        let with_left_out = times_transposed(follow.view(), found.covariance_nm2.view());
+        let added = times_transposed(with_left_out.view(), follow.view());
+        Ok(Self { change, noise, added, with_left_out, with_prior_change, left, found })
     }
 }
 

@@ -41,20 +41,20 @@ impl WholeBasis {
         let (mut segments, mut ncpa) = (Vec::new(), Vec::new());
         if let Some(tilts) = groups.iter().find(|group| matches!(group.of, Of::Tilts)) {
             let modes = SegmentModes::PistonTipTilt.maps(pupil)?;
-            of_segments = of_segments.followed_by(&modes.part(pupil.segments.len()..modes.len()))?;
+            of_segments = of_segments.followed_by(modes.part(pupil.segments.len()..modes.len()))?;
             segments.extend(tilts.columns.clone());
         }
         if !figures.is_empty() {
-            of_segments = of_segments.followed_by(&figure_maps(pupil, figures)?)?;
+            of_segments = of_segments.followed_by(figure_maps(pupil, figures)?)?;
             let is_figure = |group: &&Group| matches!(group.of, Of::Figures | Of::AllSegments);
             segments.extend(groups.iter().filter(is_figure).flat_map(|group| group.columns.clone()));
         }
         if let Some(zernikes) = groups.iter().find(|group| matches!(group.of, Of::Ncpa)) {
-            of_ncpa = of_ncpa.followed_by(&zernike_maps(pupil, first_zernike, last_zernike)?)?;
+            of_ncpa = of_ncpa.followed_by(zernike_maps(pupil, first_zernike, last_zernike)?)?;
             ncpa.extend(zernikes.columns.clone());
         }
         let segment_modes = of_segments.len();
-        let basis = of_segments.followed_by(&of_ncpa)?;
+        let basis = of_segments.followed_by(of_ncpa)?;
         let fitted = (0..count).chain(segment_modes..segment_modes + own.len() - count).collect();
         let left_out = (count..segment_modes).chain(basis.len() - ncpa.len()..basis.len()).collect();
         Ok(Self { basis, segment_modes, places: [fitted, left_out], left_out: [segments, ncpa].concat() })
@@ -73,8 +73,8 @@ pub(crate) struct WholeWavefront {
 
 impl WholeWavefront {
     /// Fitted modes `modes` of an estimate that has taken `step`, whose covariances are to be
-    /// multiplied by `scale`. With F the rows of the fitted modes by what has a prior, and 1 those
-    /// of what was left out itself, that adds [F 1]ᵀ C [F 1].
+    /// multiplied by `scale`. Where the fitted modes follow what has a prior, of the covariance C,
+    /// by F, that adds F C Fᵀ to these, C of what was left out, and F C between them.
     pub(super) fn new(
         (basis, motions): (&Arc<WholeBasis>, &GlobalMotions),
         step: &Step,
@@ -82,15 +82,23 @@ impl WholeWavefront {
         scale: f64,
     ) -> Self {
         let [fitted, left_out] = &basis.places;
-        let mut follow = Array2::zeros((basis.basis.len(), step.follow.ncols()));
-        let of_fitted = motions.removed_from_rows(&step.follow.slice(s![..fitted.len(), ..]));
-        fitted.iter().zip(of_fitted.outer_iter()).for_each(|(&place, row)| follow.row_mut(place).assign(&row));
-        let mut coefficients_nm = vec![0.0; basis.basis.len()];
-        for (&place, &column) in left_out.iter().zip(&basis.left_out) {
-            follow[[place, column]] = 1.0;
-            coefficients_nm[place] = step.found.coefficients_nm[column];
+        let count = basis.basis.len();
+        let (mut coefficients_nm, mut added_nm2) = (vec![0.0; count], Array2::zeros((count, count)));
+        let own_nm2 = motions.removed_from(&step.added.slice(s![..fitted.len(), ..fitted.len()]).to_owned());
+        for (&place, row) in fitted.iter().zip(own_nm2.outer_iter()) {
+            fitted.iter().zip(row).for_each(|(&other, nm2)| added_nm2[[place, other]] = nm2 * scale);
         }
-        let added_nm2 = follow.dot(&step.found.covariance_nm2).dot(&follow.t()) * scale;
+        let cross_nm2 = motions.removed_from_rows(&step.with_left_out.slice(s![..fitted.len(), ..]));
+        for (&place, &column) in left_out.iter().zip(&basis.left_out) {
+            coefficients_nm[place] = step.found.coefficients_nm[column];
+            for (&other, nm2) in fitted.iter().zip(cross_nm2.column(column)) {
+                added_nm2[[place, other]] = nm2 * scale;
+                added_nm2[[other, place]] = nm2 * scale;
+            }
+            let row = step.found.covariance_nm2.row(column);
+            let others = left_out.iter().zip(&basis.left_out);
+            others.for_each(|(&other, &column)| added_nm2[[place, other]] = row[column] * scale);
+        }
         let whole = CombinedModes { coefficients_nm, covariance_nm2: added_nm2.clone() };
         let mut own = Self { basis: basis.clone(), modes: whole, added_nm2 };
         own.take_fitted(modes);
@@ -119,9 +127,14 @@ impl WholeWavefront {
     }
 
     /// The maps, and their error bars.
-    pub(in crate::modal) fn maps(&self, model: &Model) -> [StaticMaps; 2] {
+    pub(crate) fn maps(&self, model: &Model) -> [StaticMaps; 2] {
         let of = (&self.basis.basis, self.basis.segment_modes);
         [StaticMaps::of(model, of, &self.modes), StaticMaps::error_bars_of(model, of, &self.modes)]
+    }
+
+    /// Place of each fitted mode among all.
+    pub(crate) fn fitted(&self) -> &[usize] {
+        &self.basis.places[0]
     }
 
     /// All modes as maps.
@@ -130,7 +143,7 @@ impl WholeWavefront {
     }
 
     /// Number of those of the segments, which are the first.
-    pub(in crate::modal) fn segment_modes(&self) -> usize {
+    pub(crate) fn segment_modes(&self) -> usize {
         self.basis.segment_modes
     }
 

@@ -152,7 +152,7 @@ impl ModeSet {
         let NcpaModes { smooth, sampled, dropped, with_prior } = ncpa;
         kinds.extend((0..sampled.as_ref().map_or(0, Basis::len)).map(Mode::Smooth));
         let basis = match (segment_basis, sampled) {
-            (Some(segments), Some(ncpa)) => segments.followed_by(&ncpa)?,
+            (Some(segments), Some(ncpa)) => segments.followed_by(ncpa)?,
             (Some(only), None) | (None, Some(only)) => only,
             (None, None) => return Err(Error::Scene("the scene leaves no mode to estimate".into())),
         };
@@ -281,7 +281,7 @@ fn with_remainders(given: Basis, zernikes: &Basis, smallest: f64, pupil: &Pupil)
     let views: Vec<_> = added.iter().map(|(_, map)| map.view()).collect();
     let maps = ndarray::stack(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?;
     let names = added.iter().map(|(name, _)| name.clone()).collect();
-    Ok((given.followed_by(&Basis::from_cube(names, vec![Group::Ncpa; added.len()], maps)?)?, dropped))
+    Ok((given.followed_by(Basis::from_cube(names, vec![Group::Ncpa; added.len()], maps)?)?, dropped))
 }
 
 /// What each extra mode adds to the NCPA modes of `given` (and to the extras before it), at unit

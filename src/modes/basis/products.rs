@@ -3,13 +3,14 @@
 
 use super::{Basis, SparseMap};
 use crate::{Error, Result};
-use ndarray::linalg::general_mat_mul;
 use ndarray::{Array1, Array2, ArrayView2, Zip, s};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Samples processed at once: the values of 70 dense modes at them stay in a cache of 1 MB.
 const TILE: usize = 1024;
+/// Tiles that all cores share, whose products are kept until they are added.
+const TILES_AT_ONCE: usize = 32;
 
 /// The sparse modes, sample by sample.
 struct BySample {
@@ -79,15 +80,26 @@ impl Basis {
             weight.iter().copied().enumerate().filter(|(_, weight)| *weight != 0.0).collect();
         let mut of_maps = Array2::<f64>::zeros((maps, maps));
         let mut gram = Array2::<f64>::zeros((self.len(), self.len()));
-        for tile in weighted_samples.chunks(TILE) {
+        let products = |tile: &[(usize, f64)]| {
             let values = self.gathered(tile.iter().map(|&(at, _)| at), lists..self.len());
             let weights: Array1<f64> = tile.iter().map(|&(_, weight)| weight).collect();
             let weighted = &values * &weights.insert_axis(ndarray::Axis(1));
-            general_mat_mul(1.0, &values.t(), &weighted, 1.0, &mut of_maps);
-            for (&(at, weight), weighted) in tile.iter().zip(weighted.outer_iter()) {
-                for &(i, value) in by_sample.at(at) {
-                    gram.slice_mut(s![i as usize, lists..]).scaled_add(value, &weighted);
-                    by_sample.at(at).iter().for_each(|&(j, v)| gram[[i as usize, j as usize]] += weight * value * v);
+            (values.t().dot(&weighted), weighted)
+        };
+        let tiles: Vec<&[(usize, f64)]> = weighted_samples.chunks(TILE).collect();
+        // The sum is in the order of the tiles, on any number of threads.
+        for tiles in tiles.chunks(TILES_AT_ONCE) {
+            let found: Vec<_> = tiles.par_iter().map(|tile| products(tile)).collect();
+            for (tile, (own, weighted)) in tiles.iter().zip(found) {
+                of_maps += &own;
+                for (&(at, weight), weighted) in tile.iter().zip(weighted.outer_iter()) {
+                    for &(i, value) in by_sample.at(at) {
+                        gram.slice_mut(s![i as usize, lists..]).scaled_add(value, &weighted);
+                        by_sample
+                            .at(at)
+                            .iter()
+                            .for_each(|&(j, v)| gram[[i as usize, j as usize]] += weight * value * v);
+                    }
                 }
             }
         }
@@ -108,8 +120,15 @@ impl Basis {
     /// it sums to no positive number.
     pub fn visible_gram(&self, amplitude: &Array2<f64>) -> Result<Array2<f64>> {
         let weight = amplitude / self.total_amplitude(amplitude)?;
-        let means = Array1::from(self.along(&weight)?);
-        let mut gram = self.gram(&weight)?;
+        self.without_means(self.gram(&weight)?, &weight)
+    }
+
+    /// Mean products of the modes with the mean of each mode removed, from those with it.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a weight of another shape.
+    pub(crate) fn without_means(&self, mut gram: Array2<f64>, weight: &Array2<f64>) -> Result<Array2<f64>> {
+        let means = Array1::from(self.along(weight)?);
         for (mut row, &mean) in gram.outer_iter_mut().zip(&means) {
             row.scaled_add(-mean, &means);
         }
@@ -130,12 +149,17 @@ impl Basis {
         let mut variance = vec![0.0; samples * samples];
         variance.par_chunks_mut(TILE).enumerate().for_each(|(tile, variance)| {
             let first = tile * TILE;
-            let values = self.gathered(first..first + variance.len(), maps.clone());
+            // Maps are 0 outside the pupil.
+            let is_inside = |at: &usize| maps.clone().any(|mode| self.dense_map(mode)[self.place(*at)] != 0.0);
+            let is_listed = |at: &usize| !by_sample.at(*at).is_empty();
+            let inside: Vec<usize> =
+                (first..first + variance.len()).filter(|at| is_listed(at) || is_inside(at)).collect();
+            let values = self.gathered(inside.iter().copied(), maps.clone());
             let moved = values.dot(&of_maps);
-            for (place, variance) in variance.iter_mut().enumerate() {
-                let (values, moved) = (values.row(place), moved.row(place));
+            for (&at, (values, moved)) in inside.iter().zip(values.outer_iter().zip(moved.outer_iter())) {
+                let variance = &mut variance[at - first];
                 *variance = values.dot(&moved);
-                let here = || by_sample.at(first + place).iter().filter(|(mode, _)| modes.contains(&(*mode as usize)));
+                let here = || by_sample.at(at).iter().filter(|(mode, _)| modes.contains(&(*mode as usize)));
                 for &(i, value) in here() {
                     let row = covariance.row(i as usize);
                     *variance += 2.0 * value * row.slice(s![maps.clone()]).dot(&values);
@@ -216,7 +240,7 @@ mod tests {
         let wave = |(mode, y, x): (usize, usize, usize)| ((1 + mode) as f64 * 0.11 * x as f64).cos() + 0.02 * y as f64;
         let cube = Array3::from_shape_fn((2, samples, samples), wave);
         let dense = Basis::from_cube(names("map", 2), vec![Group::Ncpa; 2], cube).unwrap();
-        let joined = lists.followed_by(&dense).unwrap();
+        let joined = lists.followed_by(dense).unwrap();
         let as_maps = Basis::from_cube(joined.names.clone(), joined.groups.clone(), joined.maps()).unwrap();
         assert_eq!((joined.sparse.len(), as_maps.sparse.len()), (3, 0));
         (joined, as_maps)
@@ -275,7 +299,7 @@ mod tests {
         let (lists, maps) = both();
         let renamed =
             Basis::from_cube(vec!["other".into()], vec![Group::Ncpa], maps.maps().slice_move(ndarray::s![..1, .., ..]));
-        let joined = renamed.unwrap().followed_by(&lists).unwrap();
+        let joined = renamed.unwrap().followed_by(lists.clone()).unwrap();
         assert_eq!(joined.len(), 6);
         let tail = joined.maps().slice_move(ndarray::s![1.., .., ..]);
         assert_eq!(tail, lists.maps());
