@@ -3,11 +3,14 @@
 
 use crate::{Error, Result};
 use cophase_numerics::cholesky::Cholesky;
+use cophase_numerics::product::{Matrix, MatrixMut};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 use rayon::prelude::*;
 
 /// Columns of a matrix that a thread combines at once.
 const COLUMNS_AT_ONCE: usize = 4096;
+/// Rows of a product in one task.
+const STRIP: usize = 64;
 
 /// Σ coefficient · row of a matrix with long rows, on all cores: the sum for a column is in the
 /// order of the rows, on any number of threads.
@@ -29,6 +32,24 @@ pub(crate) fn combination(coefficients: ArrayView1<f64>, rows: ArrayView2<f64>) 
 pub(crate) fn row_products(rows: ArrayView2<f64>, vector: ArrayView1<f64>) -> Array1<f64> {
     let products: Vec<f64> = rows.axis_iter(Axis(0)).into_par_iter().map(|row| row.dot(&vector)).collect();
     Array1::from(products)
+}
+
+/// a·bᵀ of two row-major matrices, strip by strip on all threads.
+pub(crate) fn times_transposed(a: ArrayView2<f64>, b: ArrayView2<f64>) -> Array2<f64> {
+    let (a, b) = (a.as_standard_layout(), b.as_standard_layout());
+    let (rows, depth, columns) = (a.nrows(), a.ncols(), b.nrows());
+    let mut product = Array2::zeros((rows, columns));
+    if let (Some(a), Some(b), Some(out)) = (a.as_slice(), b.as_slice(), product.as_slice_mut())
+        && columns * depth > 0
+    {
+        let b = Matrix::from_rows(b, columns, depth).transpose();
+        out.par_chunks_mut(STRIP * columns).zip(a.par_chunks(STRIP * depth)).for_each(|(out, a)| {
+            let count = out.len() / columns;
+            let a = Matrix::from_rows(a, count, depth);
+            MatrixMut::from_rows(out, count, columns).assign_product(1.0, a, b);
+        });
+    }
+    product
 }
 
 /// Inverse of a symmetric positive definite matrix, and the logarithm of its determinant.
@@ -98,5 +119,23 @@ impl CholeskyFactor {
     /// L⁻¹·`right`.
     pub(crate) fn whiten_vector(&self, right: Array1<f64>) -> Array1<f64> {
         self.whiten(&right.insert_axis(Axis(1))).remove_axis(Axis(1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_product_in_strips_is_the_product() {
+        for (rows, depth, columns) in [(1, 1, 1), (129, 3, 200), (300, 17, 1), (2, 0, 3)] {
+            let fill = |rows: usize, seed: f64| {
+                Array2::from_shape_fn((rows, depth), |(i, j)| (seed * (i * 31 + j) as f64).sin())
+            };
+            let (a, b) = (fill(rows, 0.7), fill(columns, 1.3));
+            let off = times_transposed(a.view(), b.view()) - a.dot(&b.t());
+            // Sums of 17 terms below 1.
+            assert!(off.iter().all(|v| v.abs() < 1e-14));
+        }
     }
 }

@@ -16,10 +16,12 @@ use super::samples::Samples;
 use super::smooth::SmoothBasis;
 use super::von_karman::VonKarman;
 use crate::grid::Grid;
+use crate::linear_algebra::times_transposed;
 use crate::machine;
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 use cophase_numerics::fft::{Fft, plan_both};
+use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView1, ArrayViewMut1, Axis};
 use num_complex::Complex64;
 use std::sync::Arc;
@@ -119,7 +121,7 @@ fn modes(
     values -= &mean.view().insert_axis(Axis(1));
     let weighted = &values * &weights;
 
-    let orthonormal = geometric_modes(&weighted.dot(&values.t()))?;
+    let orthonormal = geometric_modes(&times_transposed(weighted.view(), values.view()))?;
     let available = orthonormal.ncols();
     let count = match count_wanted {
         ModeCount::Exactly(count) => count,
@@ -234,18 +236,22 @@ fn statistical_covariance(
     grid: &Grid,
     turbulence: &VonKarman,
 ) -> Array2<f64> {
-    let mut convolution = Convolution::new(samples, grid, turbulence);
+    let convolution = Convolution::new(samples, grid, turbulence);
     let mut spread = Array2::zeros(weighted.dim());
     // Two real functions in one complex transform.
-    for first in (0..weighted.nrows()).step_by(2) {
-        let second = (first + 1).min(weighted.nrows() - 1);
-        convolution.apply(weighted.row(first), weighted.row(second));
-        for (point, value) in convolution.values().enumerate() {
-            spread[[second, point]] = value.im;
-            spread[[first, point]] = value.re;
-        }
-    }
-    let covariance = weighted.dot(&spread.t());
+    let pairs = spread.axis_chunks_iter_mut(Axis(0), 2).into_par_iter();
+    pairs.zip(weighted.axis_chunks_iter(Axis(0), 2)).for_each_init(
+        || convolution.field(),
+        |field, (mut spread, functions)| {
+            let last = functions.nrows() - 1;
+            convolution.apply(field, functions.row(0), functions.row(last));
+            for (point, &place) in convolution.places.iter().enumerate() {
+                spread[[last, point]] = field[place].im;
+                spread[[0, point]] = field[place].re;
+            }
+        },
+    );
+    let covariance = times_transposed(weighted.view(), spread.view());
     (&covariance + &covariance.t()) * 0.5
 }
 
@@ -257,7 +263,6 @@ struct Convolution {
     kernel: Vec<f64>,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
-    field: Vec<Complex64>,
 }
 
 impl Convolution {
@@ -275,24 +280,24 @@ impl Convolution {
             kernel: field.iter().map(|value| value.re * scale).collect(),
             forward,
             inverse,
-            field,
         }
     }
 
-    /// Convolves two real functions, as real and imaginary part of one complex function.
-    fn apply(&mut self, real: ArrayView1<f64>, imaginary: ArrayView1<f64>) {
-        self.field.fill(Complex64::default());
+    /// The padded square of a function.
+    fn field(&self) -> Vec<Complex64> {
+        vec![Complex64::default(); self.kernel.len()]
+    }
+
+    /// Convolves two real functions, as real and imaginary part of one complex function, in
+    /// `field`.
+    fn apply(&self, field: &mut [Complex64], real: ArrayView1<f64>, imaginary: ArrayView1<f64>) {
+        field.fill(Complex64::default());
         for ((&place, &re), &im) in self.places.iter().zip(real).zip(imaginary) {
-            self.field[place] = Complex64::new(re, im);
+            field[place] = Complex64::new(re, im);
         }
-        transform(&*self.forward, &mut self.field);
-        self.field.iter_mut().zip(&self.kernel).for_each(|(value, kernel)| *value *= kernel);
-        transform(&*self.inverse, &mut self.field);
-    }
-
-    /// The result of the last [`apply`](Self::apply) at the samples.
-    fn values(&self) -> impl Iterator<Item = Complex64> + '_ {
-        self.places.iter().map(|&place| self.field[place])
+        transform(&*self.forward, field);
+        field.iter_mut().zip(&self.kernel).for_each(|(value, kernel)| *value *= kernel);
+        transform(&*self.inverse, field);
     }
 }
 

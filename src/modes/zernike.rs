@@ -3,11 +3,14 @@
 
 use super::samples::check_lengths;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayViewMut2};
+use ndarray::{Array2, ArrayViewMut2, s};
 
 /// The largest Noll index accepted: 60 complete radial orders, far more than a pupil of 120 samples
 /// resolves.
 pub const LARGEST_NOLL: usize = 1891;
+
+/// Points that are evaluated together.
+const BLOCK: usize = 512;
 
 /// Radial order n and signed azimuthal order m of the Zernike polynomial with Noll index `noll`
 /// (from 1): m > 0 for the cosine (even indices), m < 0 for the sine (odd indices).
@@ -104,40 +107,60 @@ impl Zernikes {
     /// the three-term recurrence is accurate where the sum over explicit coefficients loses all
     /// digits (order 30 and higher); no angle is needed, and the centre is not a special case.
     pub(super) fn fill(&self, xs_m: &[f64], ys_m: &[f64], mut values: ArrayViewMut2<f64>) {
-        for point in 0..xs_m.len() {
-            let (x, y) = (xs_m[point] / self.radius_m, ys_m[point] / self.radius_m);
-            let t = 2.0 * (x * x + y * y) - 1.0;
-            let mut terms = self.plan.iter().peekable();
-            let (mut m, mut cosine, mut sine) = (0, 1.0, 0.0);
-            while let Some(first) = terms.peek() {
-                while m < first.m {
-                    (cosine, sine) = (cosine * x - sine * y, cosine * y + sine * x);
-                    m += 1;
+        // All points of a block take a step together, in vectors.
+        for first in (0..xs_m.len()).step_by(BLOCK) {
+            let points = first..(first + BLOCK).min(xs_m.len());
+            let scaled = |m: &[f64]| m[points.clone()].iter().map(|m| m / self.radius_m).collect::<Vec<f64>>();
+            self.fill_block(&scaled(xs_m), &scaled(ys_m), values.slice_mut(s![.., points.clone()]));
+        }
+    }
+
+    /// [`Zernikes::fill`] for points (x, y) in units of the radius.
+    fn fill_block(&self, xs: &[f64], ys: &[f64], mut values: ArrayViewMut2<f64>) {
+        let ts: Vec<f64> = xs.iter().zip(ys).map(|(x, y)| 2.0 * (x * x + y * y) - 1.0).collect();
+        let mut terms = self.plan.iter().peekable();
+        let (mut m, mut cosines, mut sines) = (0, vec![1.0; xs.len()], vec![0.0; xs.len()]);
+        let (mut befores, mut radials) = (sines.clone(), cosines.clone());
+        while let Some(first) = terms.peek() {
+            while m < first.m {
+                for ((cosine, sine), (x, y)) in cosines.iter_mut().zip(&mut sines).zip(xs.iter().zip(ys)) {
+                    (*cosine, *sine) = (*cosine * x - *sine * y, *cosine * y + *sine * x);
                 }
-                let (mut degree, mut before, mut radial) = (0, 0.0, 1.0);
-                while let Some(term) = terms.next_if(|term| term.m == m) {
-                    while degree < term.degree {
-                        degree += 1;
-                        (before, radial) = (radial, next_jacobi(degree, m, t, radial, before));
-                    }
-                    values[[term.row, point]] = term.norm * radial * if term.sine { sine } else { cosine };
+                m += 1;
+            }
+            befores.fill(0.0);
+            radials.fill(1.0);
+            let mut degree = 0;
+            while let Some(term) = terms.next_if(|term| term.m == m) {
+                while degree < term.degree {
+                    degree += 1;
+                    next_jacobi(degree, m, &ts, &mut radials, &mut befores);
+                }
+                let angular = if term.sine { &sines } else { &cosines };
+                for (value, (radial, angular)) in values.row_mut(term.row).iter_mut().zip(radials.iter().zip(angular)) {
+                    *value = term.norm * radial * angular;
                 }
             }
         }
     }
 }
 
-/// P_k of the Jacobi polynomials with weights (0, m) at `t`, from P_{k−1} and P_{k−2} (Abramowitz &
-/// Stegun 22.7.1).
-fn next_jacobi(k: usize, m: usize, t: f64, previous: f64, before: f64) -> f64 {
+/// P_k of the Jacobi polynomials with weights (0, m) at `ts`, from P_{k−1} in `radials` and P_{k−2}
+/// in `befores`, which become P_k and P_{k−1} (Abramowitz & Stegun 22.7.1).
+fn next_jacobi(k: usize, m: usize, ts: &[f64], radials: &mut [f64], befores: &mut [f64]) {
     let (k, m) = (k as f64, m as f64);
-    if k == 1.0 {
-        return 1.0 + (m + 2.0) * (t - 1.0) / 2.0;
-    }
     let sum = 2.0 * k + m;
-    let linear = (sum - 1.0) * (sum * (sum - 2.0) * t - m * m);
     let last = 2.0 * (k - 1.0) * (k + m - 1.0) * sum;
-    (linear * previous - last * before) / (2.0 * k * (k + m) * (sum - 2.0))
+    let divisor = 2.0 * k * (k + m) * (sum - 2.0);
+    for (t, (radial, before)) in ts.iter().zip(radials.iter_mut().zip(befores)) {
+        let next = if k == 1.0 {
+            1.0 + (m + 2.0) * (t - 1.0) / 2.0
+        } else {
+            let linear = (sum - 1.0) * (sum * (sum - 2.0) * t - m * m);
+            (linear * *radial - last * *before) / divisor
+        };
+        (*before, *radial) = (*radial, next);
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 
 use crate::Result;
 use crate::imaging::{CpuChain, LinearModel, Photometry};
-use crate::modal::solve::gauss_newton::{NuisanceShares, Nuisances, products, rows_of_tile, times_transposed};
+use crate::linear_algebra::times_transposed;
+use crate::modal::solve::gauss_newton::{NuisanceShares, Nuisances, products, rows_of_tile};
 use crate::optimize::Metric;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 

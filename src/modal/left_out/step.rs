@@ -2,8 +2,8 @@
 
 use crate::Result;
 use crate::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
+use crate::linear_algebra::times_transposed;
 use crate::modal::assess::fisher::pseudo_inverse;
-use crate::modal::solve::gauss_newton::times_transposed;
 use ndarray::{Array1, Array2, Axis};
 use std::ops::Range;
 

@@ -7,12 +7,12 @@
 
 use crate::imaging::LinearModel;
 use cophase_numerics::product::{Matrix, MatrixMut};
-use ndarray::{Array1, Array2, ArrayView2, s};
+use ndarray::{Array1, Array2, Axis, s};
 use rayon::prelude::*;
 
 /// Rows of a product in one task. Only the lower triangle is needed: a strip of this many rows
 /// computes half a square of them in excess.
-const STRIP: usize = 128;
+const STRIP: usize = 48;
 /// Share of a nuisance row's squared norm, after the rows before it were projected out, below which
 /// it is a copy of them: rounding of sums over 10⁴ pixels.
 const DEGENERATE_SHARE: f64 = 1e-13;
@@ -83,7 +83,7 @@ pub(in crate::modal) fn products(
     let mut all = zeros(linear.unknowns() + further.len() + nuisances.count(), weights.len());
     for first in (0..m).step_by(tile) {
         let tile = derivatives(linear, further, nuisances, first..m.min(first + tile));
-        add_products(&tile, weights, first * m, &mut all);
+        add_products_within(tile, weights, first * m, &mut all);
     }
     all.iter_mut().for_each(mirror);
     all
@@ -130,15 +130,31 @@ fn derivatives(
 
 /// Adds a tile's part to the lower triangles; its first pixel is `first` of the image.
 fn add_products(tile: &Array2<f64>, weights: &[Vec<f64>], first: usize, all: &mut [Array2<f64>]) {
-    let mut weighted = Array2::zeros(tile.dim());
     for (weight, product) in weights.iter().zip(all) {
-        let root: Vec<f64> = weight[first..first + tile.ncols()].iter().map(|w| w.sqrt()).collect();
-        let rows: Vec<_> = weighted.outer_iter_mut().zip(tile.outer_iter()).collect();
-        rows.into_par_iter().for_each(|(mut to, from)| {
-            to.iter_mut().zip(from).zip(&root).for_each(|((to, from), root)| *to = from * root);
+        let mut weighted = Array2::zeros(tile.dim());
+        let roots = roots(weight, first, tile.ncols());
+        weighted.axis_iter_mut(Axis(0)).into_par_iter().zip(tile.axis_iter(Axis(0))).for_each(|(mut to, from)| {
+            to.iter_mut().zip(from).zip(&roots).for_each(|((to, from), root)| *to = from * root);
         });
         add_gram(&weighted, product);
     }
+}
+
+/// As [`add_products`], in the memory of the tile for the last weights: new pages take as long as
+/// the products.
+fn add_products_within(mut tile: Array2<f64>, weights: &[Vec<f64>], first: usize, all: &mut [Array2<f64>]) {
+    let (Some((weight, others)), Some((product, rest))) = (weights.split_last(), all.split_last_mut()) else { return };
+    add_products(&tile, others, first, rest);
+    let roots = roots(weight, first, tile.ncols());
+    tile.axis_iter_mut(Axis(0)).into_par_iter().for_each(|mut row| {
+        row.iter_mut().zip(&roots).for_each(|(value, root)| *value *= root);
+    });
+    add_gram(&tile, product);
+}
+
+/// Roots of the weights of `count` pixels from `first` on.
+fn roots(weight: &[f64], first: usize, count: usize) -> Vec<f64> {
+    weight[first..first + count].iter().map(|weight| weight.sqrt()).collect()
 }
 
 /// Adds a·aᵀ: the lower triangle, and the excess of its strips.
@@ -206,24 +222,6 @@ fn subtract_row(products: &mut Array2<f64>, k: usize, share: &[f64]) {
             *value += share[i] * share[j] * own - (share[i] * row[j] + share[j] * row[i]);
         }
     }
-}
-
-/// a·bᵀ of two row-major matrices, strip by strip on all threads.
-pub(in crate::modal) fn times_transposed(a: ArrayView2<f64>, b: ArrayView2<f64>) -> Array2<f64> {
-    let (a, b) = (a.as_standard_layout(), b.as_standard_layout());
-    let (rows, depth, columns) = (a.nrows(), a.ncols(), b.nrows());
-    let mut product = Array2::zeros((rows, columns));
-    if let (Some(a), Some(b), Some(out)) = (a.as_slice(), b.as_slice(), product.as_slice_mut())
-        && columns * depth > 0
-    {
-        let b = Matrix::from_rows(b, columns, depth).transpose();
-        out.par_chunks_mut(STRIP * columns).zip(a.par_chunks(STRIP * depth)).for_each(|(out, a)| {
-            let count = out.len() / columns;
-            let a = Matrix::from_rows(a, count, depth);
-            MatrixMut::from_rows(out, count, columns).assign_product(1.0, a, b);
-        });
-    }
-    product
 }
 
 #[cfg(test)]

@@ -7,13 +7,12 @@
 //! derivatives.
 
 use crate::imaging::CpuChain;
+use crate::linear_algebra::times_transposed;
 use crate::modal::assess::fisher::null_floor;
 use crate::modal::model::memory::MATRICES_AT_ONCE;
 use crate::modal::model::recipe::Recipe;
 use crate::modal::prepare::PreparedFrame;
-use crate::modal::solve::gauss_newton::{
-    NuisanceShares, Nuisances, StoredDerivatives, products, rows_of_tile, times_transposed,
-};
+use crate::modal::solve::gauss_newton::{NuisanceShares, Nuisances, StoredDerivatives, products, rows_of_tile};
 use crate::optimize::Metric;
 use crate::scene::Weighting;
 use crate::{Error, Result};

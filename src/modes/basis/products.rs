@@ -2,8 +2,9 @@
 //! the sparse modes.
 
 use super::{Basis, SparseMap};
+use crate::linear_algebra::row_products;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView2, Zip, s};
+use ndarray::{Array1, Array2, ArrayView2, CowArray, Ix2, Zip, s};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -52,8 +53,7 @@ impl Basis {
     pub fn along(&self, map: &Array2<f64>) -> Result<Vec<f64>> {
         self.check_shape(map)?;
         let of_sparse = |list: &SparseMap| list.iter().map(|&(at, v)| v * map[self.place(at as usize)]).sum();
-        let of_map = |mode: ArrayView2<f64>| Zip::from(mode).and(map).fold(0.0, |sum, v, m| sum + v * m);
-        Ok(self.sparse.iter().map(of_sparse).chain(self.dense.outer_iter().map(of_map)).collect())
+        Ok(self.sparse.iter().map(of_sparse).chain(row_products(self.flat()?.view(), map.flatten().view())).collect())
     }
 
     /// Mean square of each mode over the pupil, weighted by `amplitude` `[y, x]`, nm² for a
@@ -190,6 +190,12 @@ impl Basis {
 
     fn place(&self, at: usize) -> [usize; 2] {
         [at / self.samples(), at % self.samples()]
+    }
+
+    /// The dense modes, `[mode, sample]`.
+    fn flat(&self) -> Result<CowArray<'_, f64, Ix2>> {
+        let (modes, rows, columns) = self.dense.dim();
+        self.dense.to_shape((modes, rows * columns)).map_err(|error| Error::Internal(error.to_string()))
     }
 
     fn dense_map(&self, mode: usize) -> ArrayView2<'_, f64> {
