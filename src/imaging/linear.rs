@@ -17,6 +17,7 @@ use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2};
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::ops::Range;
 use std::slice::from_ref;
 
@@ -28,8 +29,10 @@ pub struct LinearModel<'a> {
     psf: Vec<f64>,
     /// Rows and columns of the pupil that each segment covers.
     boxes: Vec<PupilBox>,
-    /// Unknowns behind the modes: figures of one segment or of several.
-    figures: Vec<Vec<Change>>,
+    /// Figures of segments, each once.
+    own_figures: Vec<Change>,
+    /// Unknowns behind the modes: sums of some of these.
+    figures: Vec<Vec<usize>>,
 }
 
 /// Rows and columns of the pupil.
@@ -60,7 +63,8 @@ impl CpuChain<f64> {
             let mut work = vec![0.0; psf.len()];
             pixels.apply(&mut psf, &mut work);
         }
-        LinearModel { chain: self, colours, pixels, psf, boxes: boxes(self.optics()), figures: Vec::new() }
+        let boxes = boxes(self.optics());
+        LinearModel { chain: self, colours, pixels, psf, boxes, own_figures: Vec::new(), figures: Vec::new() }
     }
 }
 
@@ -201,23 +205,22 @@ impl<'a> ColourState<'a> {
         slope: &[f64],
         boxes: &[PupilBox],
         modes: &mut [f64],
-        others: impl Iterator<Item = (&'c [Change], &'c mut f64)>,
+        others: impl Iterator<Item = (&'c Change, &'c mut f64)>,
     ) {
         let n = self.samples;
         let mut focus = self.focus.clone();
         LoadedImage::times_slope(slope, &mut focus, self.pixels);
         let (mut pupil_bar, mut pupil) = (vec![0.0; 2 * n * n], vec![0.0; 2 * n * n]);
         self.transform.adjoint(&focus, &mut pupil_bar, &mut self.transform.workspace());
-        for (changes, product) in others {
-            for (change, segment) in changes.iter().filter_map(|change| Some((*change, change.segment()?))) {
-                let [ys, xs] = &boxes[segment];
-                self.derivative_of_field(change, &mut pupil);
-                let lines = pupil.chunks_exact_mut(n).zip(pupil_bar.chunks_exact(n));
-                // Both planes of a row are lines.
-                for (along, bar) in lines.take(2 * ys.end).skip(2 * ys.start) {
-                    *product += 2.0 * xs.clone().map(|x| along[x] * bar[x]).sum::<f64>();
-                    along[xs.clone()].fill(0.0);
-                }
+        for (change, product) in others {
+            let Some(segment) = change.segment() else { continue };
+            let [ys, xs] = &boxes[segment];
+            self.derivative_of_field(*change, &mut pupil);
+            let lines = pupil.chunks_exact_mut(n).zip(pupil_bar.chunks_exact(n));
+            // Both planes of a row are lines.
+            for (along, bar) in lines.take(2 * ys.end).skip(2 * ys.start) {
+                *product += 2.0 * xs.clone().map(|x| along[x] * bar[x]).sum::<f64>();
+                along[xs.clone()].fill(0.0);
             }
         }
         let Self { field, state, .. } = self;
@@ -245,8 +248,14 @@ impl LinearModel<'_> {
     /// With `figures` of the segments as unknowns behind the modes, each of one segment or of
     /// several.
     pub fn with_figures(mut self, figures: &[Vec<SegmentFigure>]) -> Self {
-        let changes = |own: &Vec<SegmentFigure>| own.iter().map(|figure| Change::Figure(*figure)).collect();
-        self.figures = figures.iter().map(changes).collect();
+        let mut places = HashMap::new();
+        let mut place = |figure: &SegmentFigure| {
+            *places.entry((figure.segment, figure.terms.map(f64::to_bits))).or_insert_with(|| {
+                self.own_figures.push(Change::Figure(*figure));
+                self.own_figures.len() - 1
+            })
+        };
+        self.figures = figures.iter().map(|own| own.iter().map(&mut place).collect()).collect();
         self
     }
 
@@ -268,7 +277,9 @@ impl LinearModel<'_> {
     pub fn derivatives(&self, rows: Range<usize>, out: ArrayViewMut2<f64>) {
         assert_eq!(out.dim(), (self.unknowns(), rows.len() * self.pixels()), "unknowns and pixels");
         let modes: Vec<Change> = self.chain.optics().parts().modes.iter().map(|&mode| Change::Mode(mode)).collect();
-        let changes = modes.iter().map(from_ref).chain(self.figures.iter().map(Vec::as_slice));
+        let changes = |own: &Vec<usize>| own.iter().map(|&place| self.own_figures[place]).collect();
+        let figures: Vec<Vec<Change>> = self.figures.iter().map(changes).collect();
+        let changes = modes.iter().map(from_ref).chain(figures.iter().map(Vec::as_slice));
         self.write(changes, rows, out);
     }
 
@@ -293,13 +304,13 @@ impl LinearModel<'_> {
             pixels.apply(&mut slope, &mut vec![0.0; image.len()]);
         }
         let (changes, count) = (self.amplitudes(), self.chain.optics().modes());
-        let (mut unknowns, mut amplitudes) = (vec![0.0; self.unknowns()], vec![0.0; changes.len()]);
+        let (mut unknowns, mut amplitudes) = (vec![0.0; count], vec![0.0; changes.len()]);
+        let mut figures = vec![0.0; self.own_figures.len()];
         for colour in &mut self.colours {
-            let (modes, figures) = unknowns.split_at_mut(count);
-            let others = self.figures.iter().map(Vec::as_slice).zip(figures);
-            let others = others.chain(changes.iter().map(from_ref).zip(&mut amplitudes));
-            colour.add_products(&slope, &self.boxes, modes, others);
+            let others = self.own_figures.iter().zip(&mut figures).chain(changes.iter().zip(&mut amplitudes));
+            colour.add_products(&slope, &self.boxes, &mut unknowns, others);
         }
+        unknowns.extend(self.figures.iter().map(|own| own.iter().map(|&place| figures[place]).sum::<f64>()));
         [unknowns, amplitudes]
     }
 

@@ -104,6 +104,16 @@ impl GlobalMotions {
         Ok(own)
     }
 
+    /// These and `others`, none of which has a part of one of these.
+    ///
+    /// # Errors
+    /// [`Error::Internal`] for motions of another number of modes.
+    pub(in crate::modal) fn and(mut self, others: &Self) -> Result<Self> {
+        let mut motions = others.amounts.outer_iter().zip(others.motions.outer_iter());
+        motions.try_for_each(|(amount, motion)| self.push(&amount.to_owned(), &motion.to_owned()))?;
+        Ok(self)
+    }
+
     fn push(&mut self, amount: &Array1<f64>, motion: &Array1<f64>) -> Result<()> {
         let pushed = self.amounts.push(Axis(0), amount.view()).and(self.motions.push(Axis(0), motion.view()));
         pushed.map_err(|error| Error::Internal(format!("the motions of the mirror: {error}")))

@@ -48,9 +48,9 @@ impl WholeWavefront {
         let staircases = GlobalMotions::of_shapes(staircases, &gram, 0..segments)?;
         let smooth = GlobalMotions::of_shapes(smooth, &gram, segments..basis.len())?;
         let mut coefficients_nm = self.modes.coefficients_nm.clone();
-        staircases.remove(&mut coefficients_nm);
-        smooth.remove(&mut coefficients_nm);
-        let covariance_nm2 = smooth.removed_from(&staircases.removed_from(&self.modes.covariance_nm2));
+        let both = staircases.and(&smooth)?;
+        both.remove(&mut coefficients_nm);
+        let covariance_nm2 = both.removed_from(&self.modes.covariance_nm2);
         Ok(Some(self.with(CombinedModes { coefficients_nm, covariance_nm2 })))
     }
 }

@@ -81,8 +81,13 @@ impl LeftOut {
         let with_noise = |noise: &Array2<f64>| &likelihood.covariance_nm2 - noise_nm2 + motions.removed_from(noise);
         let covariance_nm2 = with_noise(&step.noise) + motions.removed_from(&step.added);
         let modes = CombinedModes { coefficients_nm, covariance_nm2 };
-        let own = information.slice(s![..self.fitted, ..self.fitted]).to_owned() / scale;
-        let alone = CombinedModes { covariance_nm2: with_noise(&pseudo_inverse(&own, floor)?), ..likelihood.clone() };
+        let alone_nm2 = if self.tilts.is_empty() {
+            with_noise(&step.noise)
+        } else {
+            let own = information.slice(s![..self.fitted, ..self.fitted]).to_owned() / scale;
+            with_noise(&pseudo_inverse(&own, floor)?)
+        };
+        let alone = CombinedModes { covariance_nm2: alone_nm2, ..likelihood.clone() };
         let found = WithLeftOut::new((self, motions), &self.groups, &step, modes, 1.0);
         let own = OwnEquations { information, score, scale, pixels };
         Ok((WithLeftOut { explained_chi2, mean_residual_chi2: left_of_mean, ..found }, alone, own))
