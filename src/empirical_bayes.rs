@@ -115,7 +115,7 @@ pub fn maximise_marginal_likelihood(
     b: &Array1<f64>,
     groups: &[CoefficientGroup],
 ) -> Result<Posterior> {
-    let mut variances: Vec<f64> = groups.iter().map(|group| group.first_nm2(information, b)).collect();
+    let mut variances: Vec<f64> = groups.iter().map(|group| group.variance_nm2).collect();
     let mut found = posterior(information, b, groups, &variances)?;
     for _ in 0..MAX_STEPS {
         let (step, gain) = scoring_step(&found, groups, &variances);
@@ -191,23 +191,16 @@ fn scoring_step(found: &Posterior, groups: &[CoefficientGroup], variances: &[f64
 }
 
 impl CoefficientGroup {
-    /// Where the search begins: the variance of a group by itself by moments, because the
-    /// expectation of Σ b² is λ tr F² + tr F. It is at most the given one, and where √λ has a prior
-    /// at least what the errors of the data are.
-    fn first_nm2(&self, information: &Array2<f64>, b: &Array1<f64>) -> f64 {
-        if self.rule == VarianceRule::Fixed {
-            return self.variance_nm2;
-        }
+    /// This group, with the search for its variance begun at that of the group by itself by
+    /// moments, because the expectation of Σ b² is λ tr F² + tr F, where that is smaller.
+    pub(crate) fn begun_at_moments(self, information: &Array2<f64>, b: &Array1<f64>) -> Self {
         let (own, columns) = (information.slice(s![self.columns.clone(), self.columns.clone()]), self.columns.clone());
         let square: f64 = columns.map(|column| b[column].powi(2)).sum();
-        let (trace, squares) = (own.diag().sum(), own.iter().map(|value| value * value).sum::<f64>());
-        let least_nm2 = if self.rule == VarianceRule::UniformRms { trace / squares } else { self.range_nm2[0] };
-        let moment_nm2 = ((square - trace) / squares).max(least_nm2);
-        if moment_nm2.is_finite() {
-            moment_nm2.min(self.variance_nm2).max(self.range_nm2[0])
-        } else {
-            self.variance_nm2
+        let moment_nm2 = (square - own.diag().sum()) / own.iter().map(|value| value * value).sum::<f64>();
+        if self.rule == VarianceRule::Fixed || !moment_nm2.is_finite() {
+            return self;
         }
+        Self { variance_nm2: moment_nm2.min(self.variance_nm2).max(self.range_nm2[0]), ..self }
     }
 
     /// The variance whose logarithm is `step` from that of `nm2`.

@@ -143,7 +143,7 @@ impl Estimator {
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        estimate.remarks.extend(noise_alone_remark(&scene));
+        estimate.remarks.extend(noise_alone_remark(&scene, policy));
         estimate.remarks.extend(modulo_wavelength_remark(&estimate));
         estimate.warnings.splice(0..0, notes);
         estimate.remarks.splice(0..0, remarks);

@@ -32,8 +32,8 @@ impl Fitted {
         let without_staircases = WithoutStaircases::of((&errors, model), found.left_out(), &figures)?;
         let open = without_staircases.as_ref().map(|without| without.remark(&figures));
         let left_out = found.left_out().map(remarks::left_out_remarks).unwrap_or_default();
+        let extended = selected.as_ref().map(|selected| selected.remark.clone());
         let of_scene = [
-            selected.as_ref().map(|selected| selected.remark.clone()),
             remarks::diversity_remark(&diversity, &scene),
             remarks::averaged_pupil_remark(&scene, &model.telescope),
             remarks::orientation_remark(&scene, &model.telescope)?,
@@ -63,7 +63,7 @@ impl Fitted {
             optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
             integers: Vec::new(),
             warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
-            remarks: open.into_iter().chain(left_out).chain(of_scene.into_iter().flatten()).collect(),
+            remarks: extended.into_iter().chain(open).chain(left_out).chain(of_scene.into_iter().flatten()).collect(),
             scene,
             pupil,
             run: Run { device: found.device, precision: found.precision, seconds: found.seconds, model_seconds },

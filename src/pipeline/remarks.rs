@@ -1,9 +1,10 @@
 //! Remarks on an estimate: information that does not question the result.
 
 use super::estimate::Estimate;
+use super::policy::Policy;
 use crate::Result;
 use crate::modal::{DiversityProjection, ModelError, WithLeftOut};
-use crate::scene::{Aperture, Scene};
+use crate::scene::{Aperture, Method, Scene};
 use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
 use ndarray::Array2;
@@ -155,9 +156,20 @@ pub(super) fn left_out_remarks(left_out: &WithLeftOut) -> Vec<String> {
     of_modes.into_iter().chain(left_out.shown_errors(false).map(sentence)).collect()
 }
 
-/// Remark on an estimate of `scene` whose error bars are asked to hold no more than the noise.
-pub(super) fn noise_alone_remark(scene: &Scene) -> Option<String> {
-    (scene.estimate.posterior == Some(false)).then(|| {
-        "The error bars hold the noise, and not what the modes leave out of the wavefront and of the camera (estimate.posterior = false).".into()
-    })
+/// Remark on a modal estimate of `scene` whose error bars hold no more than the noise.
+pub(super) fn noise_alone_remark(scene: &Scene, policy: &Policy) -> Option<String> {
+    let reason = if scene.estimate.method == Method::FullPhase {
+        return None;
+    } else if scene.estimate.posterior == Some(false) {
+        "estimate.posterior = false"
+    } else if !scene.estimate.has_posterior() {
+        "which needs noise weights"
+    } else if !policy.prior_modes {
+        "a policy without further modes"
+    } else {
+        return None;
+    };
+    Some(format!(
+        "The error bars hold the noise, and not what the modes leave out of the wavefront and of the camera ({reason})."
+    ))
 }

@@ -92,7 +92,7 @@ section! {
         /// Whether what the modes leave out (tips, tilts, figures and amplitudes of the segments,
         /// Zernikes to Noll 91, plate scale, gains, response) is marginalised after the fit, so
         /// that maps and error bars hold it. Sessions and the watch do not.
-        posterior: Option<bool>, ANY, unset("false");
+        posterior: Option<bool>, ANY, unset("true where the weights are the noise's and method = \"modal\"");
         /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the
         /// cheapest model within it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
@@ -160,7 +160,7 @@ impl EstimateScene {
 
     /// Whether what the modes leave out is marginalised after the fit.
     pub fn has_posterior(&self) -> bool {
-        self.method != Method::FullPhase && self.has_noise_weights() && self.posterior.unwrap_or(false)
+        self.method != Method::FullPhase && self.has_noise_weights() && self.posterior.unwrap_or(true)
     }
 
     /// Weight of each pixel where `optimizer` is in place of the one that is named.

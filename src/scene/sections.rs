@@ -217,7 +217,7 @@ impl Sections {
         let named = self.tolerance.differences(&ToleranceScene::usual()?).into_iter().next();
         if let Some((key, value)) = named.filter(|_| !self.estimate.has_posterior()) {
             let sentence = format!(
-                "tolerance.{key} = {value} has no effect without estimate.posterior = true, which needs noise weights and estimate.method = \"modal\"; \
+                "tolerance.{key} = {value} has no effect where estimate.posterior = false, and without noise weights or estimate.method = \"modal\"; \
                  leave it out"
             );
             return Err(reader("tolerance").error(key, sentence));

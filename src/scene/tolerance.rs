@@ -6,8 +6,8 @@ use super::value::between;
 use crate::Result;
 
 section! {
-    /// Standard deviations of what the scene takes to be exact, within which the images decide:
-    /// and which the error bars hold with estimate.posterior = true; 0 is exact. Estimate only.
+    /// Standard deviations of what the scene takes to be exact, within which the images decide,
+    /// and which the error bars hold unless estimate.posterior = false; 0 is exact. Estimate only.
     ToleranceScene = "tolerance" {
         /// Scale of the image along x and along y, and its shear.
         pixel_scale_fraction: f64, between(0.0, 0.1), default(1e-3);

@@ -218,10 +218,10 @@ fn pixels_with_an_area_are_modelled_as_the_scene_says() {
     // A residual of ten modes or more within three error bars.
     assert!(known_nm[0] < 3.0 * sigma_nm[0] && known_nm[1] < 3.0 * sigma_nm[1]);
     // Taken for points: flagged, and wrong where error bars do not hold what the scene leaves out.
-    let (held_nm, held_sigma_nm, held) = error(&scene(&[("estimate.posterior", "true")]));
+    let (held_nm, held_sigma_nm, held) = error(&scene(&[]));
     assert_eq!(held.status, Status::Misfit, "{:?}", held.warnings);
     assert!((0..2).all(|part| held_nm[part] < 3.0 * held_sigma_nm[part]));
-    let (points_nm, _, points) = error(&scene(&[]));
+    let (points_nm, _, points) = error(&scene(&[("estimate.posterior", "false")]));
     assert!(points_nm[1] > 3.0 * known_nm[1] && points.status == Status::Misfit, "{:?}", points.warnings);
 }
 
@@ -268,15 +268,19 @@ fn nominal_images_are_explained_and_small_faults_are_not() {
         star[[i, y, x]] + if x < 6 { 0.0 } else { 0.01 * star[[i, y, x - 6]] }
     });
     let curved = star.mapv(|e| e * (1.0 - 0.02 * e / most));
-    for (name, images_e) in [("a companion of 1 %", companion), ("a response that falls by 2 %", curved.clone())] {
-        let found = estimate(&scene, &Images::new(images_e));
+    let noise_alone = scene.with(&[("estimate.posterior", "false")]).unwrap();
+    let response = Images::new(curved);
+    for (name, scene, images) in [
+        ("a companion of 1 %", &scene, &Images::new(companion)),
+        ("a response that falls by 2 %", &noise_alone, &response),
+    ] {
+        let found = estimate(scene, images);
         println!("{name}: χ² {:.3}", found.reduced_chi2);
         assert_eq!(found.status, Status::Misfit, "{name}: χ² {}", found.reduced_chi2);
         assert!(found.images[0].message.contains("larger than the noise"), "{}", found.images[0].message);
     }
-    // The response is one of the errors that error bars hold on request, and then the cause.
-    let held = scene.with(&[("estimate.posterior", "true")]).unwrap();
-    let found = estimate(&held, &Images::new(curved));
+    // The response is one of the errors that error bars hold, and then the cause.
+    let found = estimate(&scene, &response);
     let [warning] = &found.warnings[..] else { panic!("{:?}", found.warnings) };
     assert!(found.status == Status::Ok && warning.contains("the loss of response at the peak"), "{warning}");
 }
@@ -285,7 +289,8 @@ fn nominal_images_are_explained_and_small_faults_are_not() {
 #[test]
 fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
     // The modes of the scene alone, so that both estimates have the same.
-    let scene = scene(&[("image.peak_snr", "500"), ("estimate.model", "scene")]);
+    let own = [("image.peak_snr", "500"), ("estimate.model", "scene"), ("estimate.posterior", "false")];
+    let scene = scene(&own);
     let images = Images::simulated(&scene).unwrap();
     let star = &images.images_e;
     let companion = Array3::from_shape_fn(star.dim(), |(i, y, x)| {

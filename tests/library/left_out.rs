@@ -110,8 +110,9 @@ fn tolerances_widen_error_bars_and_exact_ones_do_not() {
         [&exact[..], &[], &wide].map(|settings| estimate(settings, &[], true).figures.ncpa.sigma_nm);
     assert!(exact < usual && usual < wide, "{exact} {usual} {wide}");
     let scene = Scene::preset("keck-artificial").unwrap();
-    let error = scene.with(&[("tolerance.gain_fraction", "0.02")]).unwrap_err().to_string();
-    assert!(error.contains("tolerance.gain_fraction = 0.02 has no effect without estimate.posterior"), "{error}");
+    let useless = [("tolerance.gain_fraction", "0.02"), ("estimate.posterior", "false")];
+    let error = scene.with(&useless).unwrap_err().to_string();
+    assert!(error.contains("tolerance.gain_fraction = 0.02 has no effect where estimate.posterior = false"), "{error}");
 }
 
 #[test]
@@ -127,11 +128,12 @@ fn error_bars_without_anything_left_out_stay_near_noise() {
     assert!(with.is_sound() && pulls(&with).iter().all(|pull| *pull < 1.5), "{:?} {:?}", pulls(&with), with.warnings);
 }
 
-/// What was left out explains half of what χ² of a wrong minimum, 1.11, is above 1.
+/// What was left out explains a part of what χ² of a wrong minimum is above 1.
 #[test]
 #[ignore = "merge: 6 s"]
 fn a_wrong_minimum_is_no_less_a_misfit() {
-    let large = [("aberrations.segment_piston_rms_nm", "400"), ("aberrations.ncpa_rms_nm", "150")];
+    let large =
+        [("aberrations.segment_piston_rms_nm", "400"), ("aberrations.ncpa_rms_nm", "150"), ("aberrations.seed", "5")];
     let found = estimate(&[("image.peak_snr", "30")], &large, true);
     assert!(pulls(&found)[1] > 3.0, "{:?}", pulls(&found));
     assert!(

@@ -218,14 +218,23 @@ fn small_faults_are_flagged() {
         let most = images.iter().fold(0.0f64, |most, &e| most.max(e));
         images.mapv_inplace(|e| e * (1.0 - 0.02 * e / most));
     });
-    for (name, cause) in [("companion.fits", ": a second star"), ("curved.fits", "a non-linear detector")] {
-        let done = desk.succeeds(&["estimate", name, "-o", "est.fits", "--json"]);
-        let json: Value = serde_json::from_str(&done.out).unwrap();
+    let estimate = |name: &str, more: &[&str]| {
+        let done = desk.succeeds(&[&["estimate", name, "-o", "est.fits", "--json"], more].concat());
+        (serde_json::from_str::<Value>(&done.out).unwrap(), done.err)
+    };
+    let noise_alone = ["--set", "estimate.posterior=false"];
+    for (name, cause, more) in
+        [("companion.fits", ": a second star", &[][..]), ("curved.fits", "a non-linear detector", &noise_alone)]
+    {
+        let (json, err) = estimate(name, more);
         let chi2 = number(&json, "reduced_chi2");
         assert!(json["status"] == "misfit" && chi2 < 2.0, "{name}: {json}");
-        let named = done.err.lines().find(|line| line.contains("likely cause") && line.contains("image 1: "));
-        assert!(named.is_some_and(|line| line.contains(cause)), "{}", done.err);
+        let named = err.lines().find(|line| line.contains("likely cause") && line.contains("image 1: "));
+        assert!(named.is_some_and(|line| line.contains(cause)), "{err}");
     }
+    // The response is one of the errors that the error bars hold, which a warning names.
+    let (json, err) = estimate("curved.fits", &[]);
+    assert!(json["status"] == "ok" && err.contains("the loss of response at the peak is off by 2.0"), "{json} {err}");
 }
 
 #[test]

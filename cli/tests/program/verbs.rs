@@ -77,9 +77,20 @@ fn image_estimate_compare() {
     assert_eq!((&json["status"], &json["device"], &json["precision"]), (&"ok".into(), &"cpu".into(), &"f64".into()));
     // Some 4,000 pixels: χ² scatters by √(2/4000) = 0.02; the model's own error adds 0.08 here.
     assert!((number(&json, "reduced_chi2") - 1.0).abs() < 0.2, "{json}");
-    // One term, the noise, is the whole error bar.
-    assert_eq!(json["error_budget"][0]["phasing_nm"], json["phasing_sigma_nm"]);
-    assert!(json["error_budget"][0]["name"] == "noise" && json["model_errors"] == serde_json::json!([]), "{json}");
+    // Two terms are the whole error bar.
+    let terms = json["error_budget"].as_array().unwrap();
+    let names: Vec<&str> = terms.iter().map(|term| term["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["noise", "what is not fitted"]);
+    for (term, sigma) in [("phasing_nm", "phasing_sigma_nm"), ("ncpa_nm", "ncpa_sigma_nm")] {
+        let sum_nm2: f64 = terms.iter().map(|own| number(own, term).powi(2)).sum();
+        assert!((sum_nm2.sqrt() / number(&json, sigma) - 1.0).abs() < 1e-9, "{json}");
+    }
+    let errors = json["model_errors"].as_array().unwrap();
+    assert!(errors.len() == 15 && errors.iter().all(|error| number(error, "sigma") > 0.0), "{json}");
+    // Or the noise alone.
+    let (alone, _) = desk.estimates_well("images.fits", &["--set", "estimate.posterior=false"]);
+    assert_eq!(alone["error_budget"][0]["phasing_nm"], alone["phasing_sigma_nm"]);
+    assert!(alone["error_budget"][0]["name"] == "noise" && alone["model_errors"] == serde_json::json!([]), "{alone}");
     // The phasing has what the scene says less the tilt that the figures take out.
     assert!((40.0..60.0).contains(&number(&json, "phasing_rms_nm")), "{json}");
     assert!((45.0..51.0).contains(&number(&json, "ncpa_rms_nm")), "{json}");

@@ -33,16 +33,12 @@ impl LeftOut {
         let NormalEquations { information, images: scores, chi2, freedom } = self.normal_equations(model, images)?;
         let square_snr: f64 = images.iter().map(|(_, minimum)| minimum.chi2.square_snr).sum();
         let (information, pixels) = (information * square_snr, images[0].0.exposure.weight.len());
-        let mut score = scores.iter().fold(Array1::zeros(information.nrows()), |sum, own| sum + own);
-        // Each image is in its own minimum.
-        let free = (0..self.fitted).filter(|mode| !self.tilts.contains(mode));
-        free.for_each(|mode| score[mode] = 0.0);
+        // By the fitted modes it is what the tolerance of the fit, or its precision, left: without
+        // it there would be a slope along combinations that change no image, figures of all
+        // segments with a staircase and a smooth shape, which were 220 nm off after fits to 1 nm.
+        let score = scores.iter().fold(Array1::zeros(information.nrows()), |sum, own| sum + own);
         let at = Array1::from(likelihood.coefficients_nm.clone());
         let floor = null_floor(score.len(), pixels);
-        let with_prior = |score: &Array1<f64>| {
-            let ends = [s![self.tilts.clone()], s![self.fitted..]].map(|part| score.slice(part));
-            concatenate(Axis(0), &ends).unwrap_or_default()
-        };
         // Where variances are `scale` times those of the noise.
         let step_of = |scale: f64| -> Result<(Step, Vec<f64>)> {
             let equations = Equations {
@@ -54,10 +50,11 @@ impl LeftOut {
                 floor,
             };
             let step = Step::new(&equations, &priors(&self.groups))?;
-            let change = &step.with_prior_change;
-            let own_change = scale * change.dot(&step.left.dot(change)) / square_snr;
+            let left_out = step.with_prior_change.slice(s![self.tilts.len()..]);
+            let change = concatenate(Axis(0), &[step.change.view(), left_out]).unwrap_or_default();
+            let own_change = change.dot(&information.dot(&change)) / square_snr;
             let explained = |(score, (_, minimum)): (&Array1<f64>, &(&PreparedFrame, &Minimum))| {
-                2.0 * change.dot(&with_prior(score)) - own_change * minimum.chi2.square_snr
+                2.0 * change.dot(score) - own_change * minimum.chi2.square_snr
             };
             let explained_chi2 = scores.iter().zip(images).map(explained).collect();
             Ok((step, explained_chi2))
@@ -168,7 +165,7 @@ impl LeftOut {
 #[derive(Debug, Clone)]
 pub(in crate::modal) struct OwnEquations {
     pub(in crate::modal) information: Array2<f64>,
-    /// −½ of the gradient, 0 by the fitted modes.
+    /// −½ of the gradient.
     pub(in crate::modal) score: Array1<f64>,
     /// Variances over those of the noise.
     pub(in crate::modal) scale: f64,

@@ -39,8 +39,6 @@ pub(in crate::modal) struct Step {
     pub(in crate::modal) with_left_out: Array2<f64>,
     /// Change of the unknowns with a prior, those of the fit first.
     pub(in crate::modal) with_prior_change: Array1<f64>,
-    /// Gauss-Newton matrix of these, where the others follow them.
-    pub(in crate::modal) left: Array2<f64>,
     /// Of these.
     pub(in crate::modal) found: Posterior,
 }
@@ -69,7 +67,9 @@ impl Step {
         let score = score.select(Axis(0), &with_prior) - cross.t().dot(&direct);
         let before: Array1<f64> =
             with_prior.iter().map(|&unknown| if unknown < count { fitted[unknown] } else { 0.0 }).collect();
-        let found = maximise_marginal_likelihood(&left, &(&score + &left.dot(&before)), groups)?;
+        let score = score + left.dot(&before);
+        let begun: Vec<_> = groups.iter().map(|group| group.clone().begun_at_moments(&left, &score)).collect();
+        let found = maximise_marginal_likelihood(&left, &score, &begun)?;
         let with_prior_change = &found.coefficients_nm - &before;
         // Rows of the unknowns of the fit by those with a prior: free ones follow these, others are
         // among them.
@@ -89,7 +89,7 @@ impl Step {
         // The covariance is symmetric.
         let with_left_out = times_transposed(follow.view(), found.covariance_nm2.view());
         let added = times_transposed(with_left_out.view(), follow.view());
-        Ok(Self { change, noise, added, with_left_out, with_prior_change, left, found })
+        Ok(Self { change, noise, added, with_left_out, with_prior_change, found })
     }
 }
 

@@ -1,6 +1,6 @@
 //! Optics that are not the scene's, fitted beside the modes.
 
-use super::{estimate, promised, residuals, scene};
+use super::{NOISE_ALONE, estimate, promised, residuals, scene};
 use cophase::Error;
 use cophase::modal::{Cube, ModalFitter};
 use cophase::scene::Scene;
@@ -23,7 +23,7 @@ fn found(made: &Scene, scene: &Scene) -> (ModalFitter, [f64; 2], [f64; 2]) {
 fn plate_scale_and_rotation_are_found_with_error_bars() {
     let made = scene(&[("image.samples_per_lambda_over_d", "3.02"), ("pupil.rotation_deg", "0.6")]);
     // A truth on a pupil that is turned against the estimate's cannot be held against it.
-    let (_, unaware_nm, _) = found(&made, &scene(&[("pupil.rotation_deg", "0.6")]));
+    let (_, unaware_nm, _) = found(&made, &scene(&[("pupil.rotation_deg", "0.6"), NOISE_ALONE]));
     let asked = scene(&[("estimate.fit_optics", "[\"plate-scale\", \"rotation\"]")]);
     let (estimator, residual_nm, promised_nm) = found(&made, &asked);
     let optics = estimator.fitted_optics();
@@ -47,7 +47,9 @@ fn plate_scale_and_rotation_are_found_with_error_bars() {
 #[test]
 #[ignore = "merge: 3 s"]
 fn a_filters_width_is_modelled_and_found() {
-    let broad = |width: &str, more: &[(&str, &str)]| scene(&[&[("image.bandwidth_fraction", width)], more].concat());
+    let broad = |width: &str, more: &[(&str, &str)]| {
+        scene(&[&[("image.bandwidth_fraction", width), NOISE_ALONE], more].concat())
+    };
     let made = broad("0.1", &[]);
     // One wavelength is no model of it; as many as it needs are; a width that is a fifth too small
     // is found.
@@ -90,7 +92,7 @@ fn the_diffusion_of_charge_is_found() {
 #[ignore = "merge: 3 s"]
 fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     // As it is sampled where a plate scale is fitted.
-    let own = scene(&[("estimate.sampling", "native")]);
+    let own = scene(&[("estimate.sampling", "native"), NOISE_ALONE]);
     let made = source::simulate(&own).unwrap();
     let bad = made.images_e.mapv(|_| false);
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);

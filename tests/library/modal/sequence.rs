@@ -272,7 +272,7 @@ fn error_bars_of_many_bright_images_include_model_errors() {
     // The sampling of the pupil is an error that does not average out: a reduced χ² of 1.14 in one
     // image at 250, which is no misfit, and of 1.56 at 500, which is one.
     for peak_snr in ["250", "500"] {
-        let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr)]);
+        let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr), super::NOISE_ALONE]);
         let made = source::simulate(&scene).unwrap();
         let (fitter, found) = fit_scene(&scene, &made.images_e);
         let at = Array1::from(found.combined.modes.coefficients_nm.clone());

@@ -47,7 +47,7 @@ phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi
 images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
 unusable; contradictory where the images are of several wavefronts), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
 iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts), \
-error_budget (name, phasing_nm and ncpa_nm of each term), model_errors (with estimate.posterior: name, value, sigma, tolerance and \
+error_budget (name, phasing_nm and ncpa_nm of each term), model_errors (modal, unless estimate.posterior = false: name, value, sigma, tolerance and \
 significance of each error of the optics and the camera), without_staircases (phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm and \
 ncpa_sigma_nm without the focus and astigmatisms of the whole pupil, where only a tolerance divides them between the two); null where a key does not apply.";
 

@@ -8,8 +8,8 @@
 //! Σ (ĉ_i − M_i l − D_iᵀ z)ᵀ Λ_i (ĉ_i − M_i l − D_iᵀ z) + lᵀ S_i l − 2 s_i·l        D = [1 p]ᵀ
 //! ```
 //!
-//! is a quadratic form of z and l, and the step that marginalises l is that of the images of one
-//! channel.
+//! is a quadratic form of z and l, with s_i = g_l − Mᵀ g_f, −½ of the gradient of its χ² by l where
+//! the modes follow; and the step that marginalises l is that of the images of one channel.
 
 use super::normal::{Likelihood, Normal, design};
 use crate::Result;
@@ -49,13 +49,14 @@ impl Reduced {
         let cross = information.slice(s![..fitted, fitted..]);
         let own = pseudo_inverse(&information.slice(s![..fitted, ..fitted]).to_owned(), floor)?.dot(&cross);
         let left = (&information.slice(s![fitted.., fitted..]) - &cross.t().dot(&own)) / *scale;
+        let score = &score.slice(s![fitted..]) - &own.t().dot(&score.slice(s![..fitted]));
         let mut all = Self {
             moves: Array2::zeros((fitted, count)),
             information: Array2::zeros((count, count)),
             score: Array1::zeros(count),
         };
         for (&to, ((column, row), score)) in
-            places.iter().zip(own.columns().into_iter().zip(left.outer_iter()).zip(score.slice(s![fitted..])))
+            places.iter().zip(own.columns().into_iter().zip(left.outer_iter()).zip(&score))
         {
             all.moves.column_mut(to).assign(&column);
             all.score[to] = score / scale;
