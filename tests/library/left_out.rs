@@ -144,6 +144,19 @@ fn a_wrong_minimum_is_no_less_a_misfit() {
     );
 }
 
+/// A slope by the fitted modes is one along shapes that change no image, too: where it was taken
+/// to be 0 these were 750 nm of a staircase and of a smooth shape.
+#[test]
+fn the_step_takes_the_slope_that_a_coarse_fit_leaves() {
+    let found = estimate(&[("estimate.step_tolerance_nm", "1"), ("aberrations.seed", "3")], &[], true);
+    assert!(
+        found.is_sound() && pulls(&found).iter().all(|pull| *pull < 1.5),
+        "{:?} {:?}",
+        pulls(&found),
+        found.warnings
+    );
+}
+
 #[test]
 #[ignore = "merge: 6 s"]
 fn tilts_that_are_fitted_have_the_prior_too() {
