@@ -163,7 +163,7 @@ pub(super) fn noise_alone_remark(scene: &Scene, policy: &Policy) -> Option<Strin
     } else if scene.estimate.posterior == Some(false) {
         "estimate.posterior = false"
     } else if !scene.estimate.has_posterior() {
-        "which needs noise weights"
+        "weights that are not those of the noise"
     } else if !policy.prior_modes {
         "a policy without further modes"
     } else {

@@ -130,8 +130,11 @@ fn derivatives(
 
 /// Adds a tile's part to the lower triangles; its first pixel is `first` of the image.
 fn add_products(tile: &Array2<f64>, weights: &[Vec<f64>], first: usize, all: &mut [Array2<f64>]) {
+    if weights.is_empty() {
+        return;
+    }
+    let mut weighted = Array2::zeros(tile.dim());
     for (weight, product) in weights.iter().zip(all) {
-        let mut weighted = Array2::zeros(tile.dim());
         let roots = roots(weight, first, tile.ncols());
         weighted.axis_iter_mut(Axis(0)).into_par_iter().zip(tile.axis_iter(Axis(0))).for_each(|(mut to, from)| {
             to.iter_mut().zip(from).zip(&roots).for_each(|((to, from), root)| *to = from * root);
