@@ -13,6 +13,7 @@ mod channels;
 mod checks;
 mod closed_loop;
 mod diversity;
+mod faults;
 pub mod figures;
 mod groups;
 mod hard_cases;
@@ -39,6 +40,7 @@ pub use channels::{CHANNEL_ROWS, ChannelDraw, ChannelRow, ChannelTable, channels
 pub use checks::{CHECK_ROWS, CheckDraw, CheckRow, Checks, checks};
 pub use closed_loop::{ClosedLoop, Round, closed_loop};
 pub use diversity::{Diversity, DiversityPoint, diversity};
+pub use faults::{FaultRow, Faults, faults};
 pub use groups::{GROUP_ROWS, GroupDraws, GroupRow, Groups, groups};
 pub use hard_cases::{Draws, HARD_CASES, HardCase, HardCases, Mismatch, Spoil, Verdict, hard_cases};
 pub use moving_star::{Disturbance, MovingNight, MovingNights, MovingRow, MovingStar, Step, moving_star};

@@ -8,6 +8,7 @@ mod channels;
 mod command_line;
 #[path = "../../../tests/common/desk.rs"]
 mod desk;
+mod faults;
 mod groups;
 mod leak;
 mod metrics;

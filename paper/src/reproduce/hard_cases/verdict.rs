@@ -101,7 +101,10 @@ impl Verdict {
     }
 
     /// The verdict on an estimator's result: that of `assess` on an estimate, or a refusal.
-    pub(super) fn of(answer: Result<Estimate>, assess: impl FnOnce(&Estimate) -> Result<Self>) -> Result<Self> {
+    pub(in crate::reproduce) fn of(
+        answer: Result<Estimate>,
+        assess: impl FnOnce(&Estimate) -> Result<Self>,
+    ) -> Result<Self> {
         match answer {
             Ok(found) => assess(&found),
             Err(error @ Error::Interrupted(_)) => Err(error),
@@ -142,7 +145,7 @@ impl Verdict {
 
     /// Of an estimate whose images came with their truth, by its maps: a MAP estimate has no
     /// fitter.
-    pub(super) fn by_maps(found: &Estimate) -> Self {
+    pub(in crate::reproduce) fn by_maps(found: &Estimate) -> Self {
         let error_nm = found.truth.as_ref().map_or([f64::INFINITY; 2], |(_, apart)| [apart.rms_nm[0], apart.rms_nm[1]]);
         Self { error_nm, ..Self::own_figures(found) }
     }
