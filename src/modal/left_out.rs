@@ -26,7 +26,7 @@ use crate::empirical_bayes::VarianceRule;
 use crate::grid::Grid;
 use crate::imaging::{CpuChain, Mode, Optics, OpticsParts, SegmentFigure};
 use crate::modal::model::{Model, slopes};
-use crate::modes::{TiltFrame, circle_zernikes, tilt_frames};
+use crate::modes::{TiltFrame, circle_zernikes, tilt_frames_of_lit};
 use crate::pupil::Pupil;
 use crate::scene::{ImageScene, NollRange, ToleranceScene};
 use crate::{Error, Result};
@@ -39,7 +39,7 @@ use whole::WholeBasis;
 pub(in crate::modal) use equations::OwnEquations;
 pub(in crate::modal) use groups::{Group, priors};
 pub use result::ModelError;
-pub(crate) use result::WithLeftOut;
+pub(crate) use result::{SharedFigure, WithLeftOut};
 pub(in crate::modal) use step::{Equations, SAME, Step};
 pub(crate) use whole::WholeWavefront;
 
@@ -69,6 +69,9 @@ pub(in crate::modal) struct LeftOut {
     modes: usize,
     /// Figures of the segments, unknowns behind the modes.
     figures: Vec<Vec<SegmentFigure>>,
+    /// RMS of the smooth surfaces of the whole pupil whose parts on the segments are, but for
+    /// pistons, tips and tilts, figures of unit RMS: one of each kind.
+    surfaces: [f64; 3],
     /// Those of the camera come last.
     groups: Vec<Group>,
     /// Maps of these and of the fitted modes.
@@ -125,9 +128,10 @@ impl LeftOut {
             let name = format!("Zernikes {} to {LAST_ZERNIKE}", last_zernike + 1);
             columns.push_rows(name, zernikes, [1.0, 3.0], (VarianceRule::MostLikely, Of::Ncpa));
         }
-        let mut figures = Vec::new();
+        let (mut figures, mut surfaces) = (Vec::new(), [0.0; 3]);
         if has_segments {
-            let each = segment_figures(parts, &points, model)?;
+            let each;
+            (each, surfaces) = segment_figures(parts, &points, model)?;
             if 3 * segments <= MOST_FIGURES {
                 figures.extend(each.iter().flatten().map(|figure| vec![*figure]));
                 let of = (VarianceRule::MostLikely, Of::Figures);
@@ -172,7 +176,7 @@ impl LeftOut {
         let (chain, groups) = (CpuChain::new(Arc::new(optics)), columns.groups);
         let whole = Arc::new(WholeBasis::new(model, &groups, &figures, [last_zernike + 1, LAST_ZERNIKE])?);
         let tolerance = tolerance.clone();
-        Ok(Self { chain, fitted, tilts, modes: count, figures, groups, whole, amplitudes, tolerance })
+        Ok(Self { chain, fitted, tilts, modes: count, figures, surfaces, groups, whole, amplitudes, tolerance })
     }
 
     /// Number of the unknowns.
@@ -239,14 +243,26 @@ fn amplitudes(pupil: &Pupil, tolerance: f64) -> Array2<f64> {
 /// They are shapes of the segments, and not maps: of a sample that belongs to several segments each
 /// part has its own. As maps, of the brightest segment at each sample, 5 nm of a common figure of
 /// JWST were seen to differ from their staircase of 98 nm, by seven standard deviations.
-fn segment_figures(parts: &OpticsParts, points: &[(f64, f64)], model: &Model) -> Result<Vec<[SegmentFigure; 3]>> {
-    let frames = tilt_frames(&model.telescope.pupil)?;
+///
+/// Behind them the RMS of those smooth shapes, of each kind.
+fn segment_figures(
+    parts: &OpticsParts,
+    points: &[(f64, f64)],
+    model: &Model,
+) -> Result<(Vec<[SegmentFigure; 3]>, [f64; 3])> {
+    let frames = tilt_frames_of_lit(&model.telescope.pupil)?;
     let terms = |frame: &TiltFrame| {
         let [x2, y2] = frame.rms_m().map(|m| m * m);
         [[x2, y2, 0.0, -x2 - y2], [x2, -y2, 0.0, y2 - x2], [0.0, 0.0, 2.0 * (x2 * y2).sqrt(), 0.0]]
     };
     let (mut light, mut squares) = (0.0, [0.0; 3]);
+    let mut of_pupil = [[0.0; 2]; 3];
     for ((_, segments, weights), &(x_m, y_m)) in parts.weights.rows().zip(points) {
+        let own: f64 = weights.iter().map(|weight| weight * weight).sum();
+        let smooth_m2 = [x_m * x_m + y_m * y_m, x_m * x_m - y_m * y_m, 2.0 * x_m * y_m];
+        for ([sum, square], m2) in of_pupil.iter_mut().zip(smooth_m2) {
+            (*sum, *square) = (*sum + own * m2, *square + own * m2 * m2);
+        }
         for (&segment, weight) in segments.iter().zip(weights) {
             let frame = &frames[segment as usize];
             let [x, y] = frame.tilts([x_m, y_m]);
@@ -261,7 +277,11 @@ fn segment_figures(parts: &OpticsParts, points: &[(f64, f64)], model: &Model) ->
         let terms = terms(frame);
         [0, 1, 2].map(|kind| SegmentFigure { segment, terms: terms[kind].map(|m2| m2 / rms_m2[kind]) })
     };
-    Ok(frames.iter().enumerate().map(of_segment).collect())
+    let surface = |kind: usize| {
+        let [mean, square] = of_pupil[kind].map(|sum| sum / light);
+        (square - mean * mean).sqrt() / rms_m2[kind]
+    };
+    Ok((frames.iter().enumerate().map(of_segment).collect(), [0, 1, 2].map(surface)))
 }
 
 /// The last Zernike, in Noll's order, that the exact ones or those with a prior of a recipe end

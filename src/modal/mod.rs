@@ -62,7 +62,7 @@ pub(crate) use fit_optics::{OpticsMinimum, OpticsStart, explaining_fit, fit_toge
 pub use fitter::ModalFitter;
 pub(crate) use group::{GroupChannel, GroupEstimate, Minima, Search, estimate_group};
 pub use left_out::ModelError;
-pub(crate) use left_out::WithLeftOut;
+pub(crate) use left_out::{SharedFigure, WithLeftOut};
 pub use model::Model;
 pub use model::arrays::Arrays;
 pub use model::memory::{Memory, Tiles};

@@ -229,7 +229,7 @@ fn refuse_turns(scene: &System, telescope: &Telescope) -> Result<()> {
 
 /// Coordinates of each entry on its segment, in units of the segment's RMS.
 pub(super) fn slopes(weights: &SegmentWeights, points: &[(f64, f64)], pupil: &Pupil) -> Result<(Vec<f64>, Vec<f64>)> {
-    let frames = modes::tilt_frames(pupil)?;
+    let frames = modes::tilt_frames_of_lit(pupil)?;
     let mut slopes = (Vec::new(), Vec::new());
     for ((_, segments, _), &(x, y)) in weights.rows().zip(points) {
         for &segment in segments {

@@ -40,7 +40,7 @@ pub use petals::Petals;
 pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
 pub use samples::Samples;
 pub use segment::SegmentModes;
-pub(crate) use segment::{TiltFrame, tilt_frames};
+pub(crate) use segment::{TiltFrame, tilt_frames, tilt_frames_of_lit};
 pub use separable::SeparableBasis;
 pub use smooth::SmoothBasis;
 pub use von_karman::{R0_WAVELENGTH_NM, VonKarman};

@@ -2,7 +2,7 @@
 //! segment.
 
 use super::basis::{Basis, Group, SparseMap};
-use crate::pupil::Pupil;
+use crate::pupil::{Pupil, Segment};
 use crate::{Error, Result};
 
 /// Degrees of freedom of each segment.
@@ -45,6 +45,11 @@ impl SegmentModes {
     /// that is not a segment, a pupil without segments, or a segment with too few samples for its
     /// mode.
     pub fn maps(self, pupil: &Pupil) -> Result<Basis> {
+        self.maps_in(pupil, tilt_frames)
+    }
+
+    /// As [`SegmentModes::maps`], with tips and tilts in these frames of `pupil`.
+    pub(crate) fn maps_in(self, pupil: &Pupil, frames: fn(&Pupil) -> Result<Vec<TiltFrame>>) -> Result<Basis> {
         let (n, segments) = (pupil.grid.samples(), pupil.segments.len());
         for shape in [pupil.amplitude.dim(), pupil.owner.dim()] {
             if shape != (n, n) {
@@ -63,7 +68,7 @@ impl SegmentModes {
         }
         let names = self.names(segments);
         let mut maps: Vec<SparseMap> = vec![Vec::new(); segments * self.per_segment()];
-        let frames = if self == SegmentModes::PistonTipTilt { tilt_frames(pupil)? } else { Vec::new() };
+        let frames = if self == SegmentModes::PistonTipTilt { frames(pupil)? } else { Vec::new() };
         for ((row, column), segment) in pupil.owned_samples() {
             let at = (row * n + column) as u32;
             maps[segment].push((at, 1.0));
@@ -103,6 +108,36 @@ impl TiltFrame {
 /// # Errors
 /// [`Error::Value`] for a segment with too few samples.
 pub(crate) fn tilt_frames(pupil: &Pupil) -> Result<Vec<TiltFrame>> {
+    let resolved = |(segment, frame): (usize, Option<TiltFrame>)| {
+        frame.ok_or_else(|| {
+            Error::Value(format!(
+                "segment {segment} is not resolved on this grid: its tip and tilt need at least two illuminated samples in each direction"
+            ))
+        })
+    };
+    resolved_frames(pupil).into_iter().enumerate().map(resolved).collect()
+}
+
+/// As [`tilt_frames`]; a segment with too few samples, such as one without light, has the mean unit
+/// of the others about its centre.
+///
+/// # Errors
+/// [`Error::Value`] where that holds for all of them.
+pub(crate) fn tilt_frames_of_lit(pupil: &Pupil) -> Result<Vec<TiltFrame>> {
+    let frames = resolved_frames(pupil);
+    let lit: Vec<f64> = frames.iter().flatten().flat_map(|frame| frame.rms_m).collect();
+    if lit.is_empty() {
+        return tilt_frames(pupil);
+    }
+    let rms_m = [lit.iter().sum::<f64>() / lit.len() as f64; 2];
+    let of_segment = |(frame, segment): (Option<TiltFrame>, &Segment)| {
+        frame.unwrap_or(TiltFrame { centroid_m: [segment.x_m, segment.y_m], rms_m })
+    };
+    Ok(frames.into_iter().zip(&pupil.segments).map(of_segment).collect())
+}
+
+/// The frame of each segment of `pupil`; `None` where it has too few samples.
+fn resolved_frames(pupil: &Pupil) -> Vec<Option<TiltFrame>> {
     // Sums of A, A r and A r² along x and y, about the segment's centre.
     let mut sums = vec![[[0.0; 3]; 2]; pupil.segments.len()];
     let centre = |segment: usize| [pupil.segments[segment].x_m, pupil.segments[segment].y_m];
@@ -120,13 +155,10 @@ pub(crate) fn tilt_frames(pupil: &Pupil) -> Result<Vec<TiltFrame>> {
             sums.map(|[weight, first, second]| (second / weight - (first / weight).powi(2)).max(0.0).sqrt()),
         ];
         // Two samples give half a pitch; rounding of the mean gives 1e-8 of the segment.
-        if !rms_m.iter().all(|rms_m| *rms_m > 1e-6 * pupil.grid.pitch_m()) {
-            return Err(Error::Value(format!(
-                "segment {segment} is not resolved on this grid: its tip and tilt need at least two illuminated samples in each direction"
-            )));
-        }
-        let centroid_m = [0, 1].map(|axis| centre(segment)[axis] + mean_m[axis]);
-        Ok(TiltFrame { centroid_m, rms_m })
+        rms_m
+            .iter()
+            .all(|rms_m| *rms_m > 1e-6 * pupil.grid.pitch_m())
+            .then(|| TiltFrame { centroid_m: [0, 1].map(|axis| centre(segment)[axis] + mean_m[axis]), rms_m })
     });
     frames.collect()
 }

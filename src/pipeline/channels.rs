@@ -122,7 +122,12 @@ impl<'a> Channels<'a> {
         let mut fitted = task.fit(series.and_then(|series| series.first_mut()))?;
         explain(&task, &mut fitted)?;
         let mut estimate = fitted.into_estimate(task.policy)?;
-        estimate.optics.iter_mut().for_each(|parameter| parameter.take_form_of(task.scene));
+        for parameter in &mut estimate.optics {
+            // An extension of the model has a value of its own, from which its fit began.
+            let own = task.scene.setting(&parameter.key).and_then(|setting| setting.value().number());
+            parameter.scene = own.unwrap_or(parameter.scene);
+            parameter.take_form_of(task.scene);
+        }
         Ok(estimate)
     }
 
@@ -253,6 +258,7 @@ pub(super) fn combined(
         error_budget.push(own);
     }
     let left_out = found.left_out.as_ref();
+    let status = *Status::worst(each.iter().map(|one| &one.status));
     let sigma_nm = errors.of_maps_nm(&found.modes.covariance_nm2, left_out)?;
     let figures = Figures::new(&first.pupil, &found.maps, sigma_nm)?;
     let without_staircases = WithoutStaircases::of((&errors, own.fitter.model()), left_out, &figures)?;
@@ -266,10 +272,13 @@ pub(super) fn combined(
         without_staircases,
         pupil: first.pupil.clone(),
         error_budget,
-        model_errors: left_out.map(|left_out| left_out.errors.clone()).unwrap_or_default(),
+        model_errors: left_out
+            .filter(|_| status.is_near_minimum())
+            .map(|left_out| left_out.errors.clone())
+            .unwrap_or_default(),
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
-        status: *Status::worst(each.iter().map(|one| &one.status)),
+        status,
         is_sequence,
         model: first.model.clone(),
         optics: optics(&found, &names, &each),
@@ -299,7 +308,8 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             defocus.optic.word()
         ));
     }
-    sentences.extend(found.left_out.as_ref().map(left_out_warnings).unwrap_or_default());
+    let of_step = found.left_out.as_ref().filter(|_| each.iter().all(|one| one.status.is_near_minimum()));
+    sentences.extend(of_step.map(left_out_warnings).unwrap_or_default());
     sentences.extend(integers_warning(&found.integers));
     sentences.extend(found.is_contradictory().then(|| contradiction_warning(found.disagreement)));
     sentences

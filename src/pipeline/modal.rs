@@ -31,7 +31,9 @@ impl Fitted {
         let figures = Figures::new(&pupil, &found.combined.maps, sigma_nm)?;
         let without_staircases = WithoutStaircases::of((&errors, model), found.left_out(), &figures)?;
         let open = without_staircases.as_ref().map(|without| without.remark(&figures));
-        let left_out = found.left_out().map(remarks::left_out_remarks).unwrap_or_default();
+        let (status, of_step) = (found.status_of_all(), found.left_out());
+        let of_step = of_step.filter(|_| status.is_near_minimum());
+        let left_out = of_step.map(remarks::left_out_remarks).unwrap_or_default();
         let extended = selected.as_ref().map(|selected| selected.remark.clone());
         let of_scene = [
             remarks::diversity_remark(&diversity, &scene),
@@ -53,10 +55,10 @@ impl Fitted {
             figures,
             without_staircases,
             error_budget: error_budget(&errors, &fitter, &found)?,
-            model_errors: found.left_out().map(|left_out| left_out.errors.clone()).unwrap_or_default(),
+            model_errors: of_step.map(|left_out| left_out.errors.clone()).unwrap_or_default(),
             images: outcomes.collect(),
             channels: Vec::new(),
-            status: found.status_of_all(),
+            status,
             reduced_chi2: found.reduced_chi2(),
             is_sequence: found.is_sequence(),
             model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::modal::{Model, WithLeftOut};
 
 /// How many times the error bar of the phasing without these shapes that with them is, from which
-/// both are given.
+/// both are given; also where the images show a figure that all segments share.
 const REMARKABLE: f64 = 1.5;
 
 impl WithoutStaircases {
@@ -25,7 +25,7 @@ impl WithoutStaircases {
         let found = left_out.whole.without_staircases(model, errors.products_of_whole()?)?;
         let Some(found) = found else { return Ok(None) };
         let sigma_nm = errors.of_whole_nm(&found.modes.covariance_nm2)?;
-        if figures.phasing.sigma_nm <= REMARKABLE * sigma_nm[0] {
+        if left_out.shared_figure.is_none() && figures.phasing.sigma_nm <= REMARKABLE * sigma_nm[0] {
             return Ok(None);
         }
         let [maps, sigma_maps] = found.maps(model);

@@ -7,7 +7,7 @@ use super::outcome::ImageOutcome;
 use super::sequence::SequenceResult;
 use crate::modal::{
     self, Agreement, DiversityProjection, ImageReport, Model, ModelError, PistonInteger, RejectedPixels, Session,
-    Status, Verdict, WithLeftOut,
+    SharedFigure, Status, Verdict, WithLeftOut,
 };
 use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
@@ -17,6 +17,10 @@ pub(super) const TOO_SMALL: &str = "the noise is smaller than the stated photon 
     (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large (of images that were reduced without \
     a dark it is an upper limit)? The error bars are those of \
     the stated noise";
+
+/// Background from which it may be a bias of the camera, electrons: that of a photon noise as of a
+/// usual read noise.
+const LEAST_BIAS_E: f64 = 100.0;
 
 /// Probability from which the whole wavelengths of a piston are not flagged.
 const CERTAIN: f64 = 0.99;
@@ -96,21 +100,30 @@ pub(super) fn modal_warnings(
         sentences.extend(agreement_warning(found));
     }
     sentences.extend(mean_residual_warning(found));
-    sentences.extend(found.left_out().map(left_out_warnings).unwrap_or_default());
+    let of_step = found.left_out().filter(|_| found.status_of_all().is_near_minimum());
+    sentences.extend(of_step.map(left_out_warnings).unwrap_or_default());
     sentences.extend(model_warning(model));
     let unknown = found.degeneracy.null.iter().filter(|direction| alone && !fitter.is_global_motion(direction));
     sentences.extend(unknown_warning(&unknown.map(|direction| direction.description.as_str()).collect::<Vec<_>>()));
     sentences
 }
 
-/// Warnings on errors of the optics and the camera beyond their tolerances that the images show.
+/// Warnings on errors of the optics and the camera beyond their tolerances that the images show,
+/// and on a figure of the segments that may be a surface of the whole mirror.
 pub(super) fn left_out_warnings(left_out: &WithLeftOut) -> Vec<String> {
     let sentence = |error: &ModelError| {
         format!(
             "these images show an error that the scene does not have: {error}: correct it in the scene, or in the reduction"
         )
     };
-    left_out.shown_errors(true).map(sentence).collect()
+    let shared = left_out.shared_figure.map(|SharedFigure { rms_nm, surface_nm }| {
+        format!(
+            "these images show that all segments share a figure (focus or astigmatism) of {rms_nm:.2} nm RMS, or else that their pistons, \
+             tips and tilts follow a smooth surface of {surface_nm:.0} nm, with as much of the opposite sign in the NCPA: the wavefront is \
+             the same. The maps are those of the figure"
+        )
+    });
+    left_out.shown_errors(true).map(sentence).chain(shared).collect()
 }
 
 /// Warning on combinations of modes that the images do not show.
@@ -333,7 +346,19 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
     match &image.status {
         Status::Ok | Status::Contradictory => None,
         Status::Misfit if image.is_too_small() => {
-            Some(format!("reduced χ² is {}, where noise explains {least:.2} or more: {TOO_SMALL}", shown_chi2(chi2)))
+            let of_bias = if image.background_e > LEAST_BIAS_E {
+                format!(
+                    "the {:.0} electrons of background in every pixel are expected to have photon noise, which a bias that was not subtracted \
+                     does not have; or ",
+                    image.background_e
+                )
+            } else {
+                String::new()
+            };
+            Some(format!(
+                "reduced χ² is {}, where noise explains {least:.2} or more: {of_bias}{TOO_SMALL}",
+                shown_chi2(chi2)
+            ))
         }
         Status::Misfit => Some(format!(
             "the residual is {:.2} times the noise (reduced χ² {chi2:.2}, where noise explains up to {most:.2}): the modes do \
@@ -343,8 +368,8 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
             scaled(chi2)
         )),
         Status::WrongMinimum => Some(format!(
-            "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity, rotation or orientation \
-             of the scene are not the image's"
+            "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity (or its sign), rotation or orientation \
+             of the scene are not the image's ('cophase check' compares them)"
         )),
         Status::NotConverged(reason) if is_used => Some(format!(
             "the fit did not converge ({reason}), and there is no better image: these maps are no estimate"

@@ -76,6 +76,22 @@ fn error_bars_hold_figures_of_the_segments() {
     }
 }
 
+/// Pistons, tips and tilts along a smooth surface of 43 nm, with its opposite in the NCPA, are the
+/// wavefront of 1 nm of a common figure: which of the two it is no image says.
+#[test]
+fn a_common_figure_may_be_a_surface_of_the_whole_mirror() {
+    let found = estimate(&[], &[("aberrations.common_figure_rms_nm", "1")], true);
+    let doubt = found.warnings.iter().find(|sentence| sentence.contains("all segments share a figure")).unwrap();
+    let surface_nm: f64 = doubt.split("smooth surface of ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    // 2 % of noise in the figure.
+    assert!((surface_nm / 43.0 - 1.0).abs() < 0.2, "{doubt}");
+    assert!(
+        found.without_staircases.is_some() && found.remarks.iter().any(|remark| remark.contains("Without these three"))
+    );
+    let without = estimate(&[], &[], true);
+    assert!(without.warnings.is_empty() && without.without_staircases.is_none(), "{:?}", without.warnings);
+}
+
 /// A tenth of a per cent of the plate scale, 1.5 % of the gain of a quadrant and 4 % of the
 /// response at the peak: 2 to 3 error bars of the noise each.
 #[test]

@@ -44,6 +44,12 @@ impl Status {
         matches!(self, Status::Ok | Status::Misfit | Status::WrongMinimum)
     }
 
+    /// Whether the fit ended near the right minimum, so that a linear step from there has a
+    /// meaning.
+    pub(crate) fn is_near_minimum(&self) -> bool {
+        matches!(self, Status::Ok | Status::Misfit | Status::Contradictory)
+    }
+
     /// The word in files and JSON.
     pub fn word(&self) -> &'static str {
         match self {

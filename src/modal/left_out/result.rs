@@ -1,6 +1,7 @@
 //! What the step finds of the errors that a fit leaves out, and which of them are named.
 
 use crate::empirical_bayes::Posterior;
+use crate::linear_algebra::SpdInverse;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::global_motions::GlobalMotions;
 use crate::modal::left_out::groups::{Group, Of};
@@ -24,6 +25,9 @@ const SECOND_ORDER: f64 = 0.2;
 
 /// Standard deviations from which a figure that all segments share is shown.
 const SHOWN: f64 = 2.0;
+/// χ² of its three shapes from which a user has to decide what it is: noise alone is beyond in one
+/// estimate of 1,000.
+const DOUBTFUL: f64 = 16.27;
 
 /// Modes with the errors of what was left out.
 #[derive(Debug, Clone)]
@@ -36,6 +40,8 @@ pub(crate) struct WithLeftOut {
     pub(crate) whole: WholeWavefront,
     /// How large each group is.
     pub(crate) terms: Vec<LeftOutTerm>,
+    /// The figure that all segments share, where the images show one.
+    pub(crate) shared_figure: Option<SharedFigure>,
     /// Errors of the optics and the camera.
     pub(crate) errors: Vec<ModelError>,
     /// χ² of each image that what was left out explains.
@@ -84,7 +90,52 @@ impl WithLeftOut {
                 _ => terms.push(LeftOutTerm { name: group.name.clone(), size: rms, unit: "nm" }),
             }
         }
-        Self { modes, added_nm2, whole, terms, errors, explained_chi2: Vec::new(), mean_residual_chi2: 1.0 }
+        let shared_figure = SharedFigure::of(groups, found, left_out.surfaces);
+        let (explained_chi2, mean_residual_chi2) = (Vec::new(), 1.0);
+        Self { modes, added_nm2, whole, terms, shared_figure, errors, explained_chi2, mean_residual_chi2 }
+    }
+}
+
+/// A figure that all segments share. Where the segments stand along a smooth surface of the whole
+/// mirror with their pistons, tips and tilts, the images are those of a smooth NCPA and the
+/// opposite of such a figure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SharedFigure {
+    /// RMS over each segment, nm.
+    pub(crate) rms_nm: f64,
+    /// RMS over the pupil of that surface, nm.
+    pub(crate) surface_nm: f64,
+}
+
+impl SharedFigure {
+    /// The mean figure of the segments, by what a step has `found` of `groups`, where it is beyond
+    /// what noise makes and what figures that each segment has of its own have in the mean.
+    /// `surfaces` are as in [`LeftOut`].
+    fn of(groups: &[Group], found: &Posterior, surfaces: [f64; 3]) -> Option<Self> {
+        let mut mean = Array2::zeros((3, found.coefficients_nm.len()));
+        let mut expected_nm2 = 0.0;
+        for (group, &rms_nm) in groups.iter().zip(&found.prior_rms_nm) {
+            let segments = match group.of {
+                Of::AllSegments => 1,
+                Of::Figures => group.columns.len() / 3,
+                _ => continue,
+            };
+            for (place, column) in group.columns.clone().enumerate() {
+                mean[[place % 3, column]] = 1.0 / segments as f64;
+            }
+            if matches!(group.of, Of::Figures) {
+                expected_nm2 += rms_nm * rms_nm / segments as f64;
+            }
+        }
+        let figure_nm = mean.dot(&found.coefficients_nm);
+        let covariance_nm2 = mean.dot(&found.covariance_nm2).dot(&mean.t()) + expected_nm2 * Array2::eye(3);
+        // Without figures among the groups it has no inverse.
+        let inverse = SpdInverse::new(&covariance_nm2).ok()?.inverse;
+        let rms = |weights: [f64; 3]| {
+            figure_nm.iter().zip(weights).map(|(nm, weight)| (nm * weight).powi(2)).sum::<f64>().sqrt()
+        };
+        (figure_nm.dot(&inverse.dot(&figure_nm)) > DOUBTFUL)
+            .then(|| Self { rms_nm: rms([1.0; 3]), surface_nm: rms(surfaces) })
     }
 }
 

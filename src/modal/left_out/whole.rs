@@ -8,7 +8,7 @@ use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::left_out::groups::{Group, Of};
 use crate::modal::left_out::step::Step;
 use crate::modal::model::Model;
-use crate::modes::{Basis, Group as Part, SegmentModes, circle_zernikes, tilt_frames};
+use crate::modes::{Basis, Group as Part, SegmentModes, circle_zernikes, tilt_frames_of_lit};
 use crate::pupil::Pupil;
 use ndarray::{Array2, Array3, s};
 use std::sync::Arc;
@@ -40,7 +40,7 @@ impl WholeBasis {
         let (mut of_segments, mut of_ncpa) = (own.part(0..count), own.part(count..own.len()));
         let (mut segments, mut ncpa) = (Vec::new(), Vec::new());
         if let Some(tilts) = groups.iter().find(|group| matches!(group.of, Of::Tilts)) {
-            let modes = SegmentModes::PistonTipTilt.maps(pupil)?;
+            let modes = SegmentModes::PistonTipTilt.maps_in(pupil, tilt_frames_of_lit)?;
             of_segments = of_segments.followed_by(modes.part(pupil.segments.len()..modes.len()))?;
             segments.extend(tilts.columns.clone());
         }
@@ -155,7 +155,7 @@ impl WholeWavefront {
 
 /// Sums of `figures` on the grid of the pupil, each sample of the segment that owns it.
 fn figure_maps(pupil: &Pupil, figures: &[Vec<SegmentFigure>]) -> Result<Basis> {
-    let (frames, samples) = (tilt_frames(pupil)?, pupil.grid.samples());
+    let (frames, samples) = (tilt_frames_of_lit(pupil)?, pupil.grid.samples());
     let mut owned = vec![Vec::new(); pupil.segments.len()];
     for ((row, column), segment) in pupil.owned_samples() {
         let tilts = frames[segment].tilts([column, row].map(|at| pupil.grid.coordinate_m(at)));
