@@ -3,10 +3,10 @@
 use super::image_changes::{CHANGING, image_changes};
 use super::misfit;
 use super::modal_task::{Fitted, ModalTask};
-use super::model_selection::{self, Selected};
+use super::model_selection::{self, FitOne, Selected};
+use super::policy::Policy;
 use crate::Result;
-use crate::modal::{ModalEstimate, Status};
-use crate::scene::Scene;
+use crate::modal::{ModalEstimate, ModalFit, Status};
 use std::time::Instant;
 
 /// Reduced χ² of the mean residual of several images above which the model is wrong, as for one
@@ -71,9 +71,8 @@ fn explain_image(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     let case = misfit::Case { task: *task, image, model, chain, diversity: &diversity };
     fitted.cause = case.likely_cause(&found.1)?;
     if fitted.cause.is_none() && model_selection::may_extend(task.scene, task.policy) {
-        let mut one = |scene: &Scene| task.fit_one(scene, image);
         let name = format!("image {}", image + 1);
-        fitted.selected = model_selection::select(task.scene, task.control, (found, image, &name), &mut one)?;
+        fitted.selected = selected(task, (found, image, &name))?;
     }
     Ok(())
 }
@@ -87,7 +86,14 @@ fn selected_by_sum(task: &ModalTask, found: &ModalEstimate) -> Result<Option<Sel
     let images = task.images.sum(&found.combined.used_images, task.scene.image.read_noise_e);
     let task = ModalTask { images: &images, ..*task };
     let Some(own) = task.fit_one(task.scene, 0)? else { return Ok(None) };
-    let mut one = |scene: &Scene| task.fit_one(scene, 0);
     let name = format!("the sum of {} images", found.used());
-    model_selection::select(task.scene, task.control, (&own, 0, &name), &mut one)
+    selected(&task, (&own, 0, &name))
+}
+
+/// Looks for a model that explains image `image` of `own`, which is called `name`.
+fn selected(task: &ModalTask, (own, image, name): (&ModalFit, usize, &str)) -> Result<Option<Selected>> {
+    let policy = Policy::realtime();
+    let coarse = ModalTask { policy: &policy, ..*task };
+    let fits: [&FitOne; 2] = [&|scene| task.fit_one(scene, image), &|scene| coarse.fit_one(scene, image)];
+    model_selection::select(task.scene, task.control, (own, image, name), fits)
 }

@@ -29,6 +29,7 @@ mod group;
 mod image_changes;
 mod images;
 mod instrument;
+mod lost_light;
 mod misfit;
 mod modal;
 mod modal_errors;

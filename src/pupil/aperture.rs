@@ -38,6 +38,12 @@ pub struct HexagonalParameters {
     pub spider_vanes_deg: Vec<f64>,
     /// Rotation of segments and spiders about the axis, degrees counter-clockwise.
     pub rotation_deg: f64,
+    /// Numbers of the segments that give no light.
+    pub dark_segments: Vec<usize>,
+    /// Diameter of a stop of the camera, m, which limits the pupil; 0 for none.
+    pub stop_diameter_m: f64,
+    /// Its centre, m; `rotation_deg` does not move it.
+    pub stop_centre_m: [f64; 2],
 }
 
 impl HexagonalParameters {
@@ -57,6 +63,9 @@ impl HexagonalParameters {
             spider_angles_deg: Vec::new(),
             spider_vanes_deg: Vec::new(),
             rotation_deg: 0.0,
+            dark_segments: Vec::new(),
+            stop_diameter_m: 0.0,
+            stop_centre_m: [0.0; 2],
         }
     }
 
@@ -100,11 +109,15 @@ impl HexagonalParameters {
             ("gap between segments", self.gap_m),
             ("central obscuration", self.obscuration_diameter_m),
             ("spider width", self.spider_width_m),
+            ("stop", self.stop_diameter_m),
         ];
         for (name, length) in lengths {
             if !(length.is_finite() && length >= 0.0) {
                 return value(format!("a {name} of {length} m is impossible: 0 or a positive length is needed"));
             }
+        }
+        if let Some(m) = self.stop_centre_m.iter().find(|m| !m.is_finite()) {
+            return value(format!("a stop centred at {m} m is impossible: a finite length is needed"));
         }
         match self.spider_angles_deg.iter().chain(&self.spider_vanes_deg).find(|angle| !angle.is_finite()) {
             Some(angle) => value(format!("a spider at {angle} degrees is impossible: a finite angle is needed")),
@@ -157,10 +170,11 @@ pub(crate) struct SegmentShape {
 }
 
 impl SegmentShape {
-    /// Removes the shadows: the spiders split the outline into convex pieces, and the part of each
-    /// under the disc is subtracted.
-    fn new(outline: Polygon, disc: Option<&Polygon>, spiders: &[Arm]) -> Self {
-        let mut pieces = vec![outline.clone()];
+    /// Removes what is beyond the stop, and the shadows: the spiders split the outline into convex
+    /// pieces, and the part of each under the disc is subtracted.
+    fn new(outline: Polygon, stop: Option<&Polygon>, disc: Option<&Polygon>, spiders: &[Arm]) -> Self {
+        let mut pieces = vec![stop.map_or_else(|| outline.clone(), |stop| outline.intersection(stop))];
+        pieces.retain(|piece| piece.area() > 0.0);
         for arm in spiders {
             pieces = pieces.iter().flat_map(|p| arm.removed_from(p)).filter(|p| p.area() > 0.0).collect();
         }
@@ -168,6 +182,11 @@ impl SegmentShape {
         let subtracted: Vec<_> = pieces.iter().filter_map(shadowed).map(|p| (-1.0, p)).collect();
         let pieces = pieces.into_iter().map(|p| (1.0, p)).chain(subtracted).collect();
         Self { outline, pieces }
+    }
+
+    /// A segment without light.
+    fn dark(outline: Polygon) -> Self {
+        Self { outline, pieces: Vec::new() }
     }
 
     pub(crate) fn area(&self) -> f64 {
@@ -203,7 +222,14 @@ impl Aperture {
         let hexagons = parameters.layout().hexagons();
         let segments: Vec<Segment> =
             hexagons.iter().zip(0..).map(|(h, label)| Segment { x_m: h.x_m, y_m: h.y_m, label }).collect();
-        let disc = disc(parameters.obscuration_diameter_m);
+        if let Some(number) = parameters.dark_segments.iter().find(|number| **number >= segments.len()) {
+            return Err(Error::Value(format!(
+                "there is no segment {number} to be dark: numbers from 0 to {} are accepted",
+                segments.len().saturating_sub(1)
+            )));
+        }
+        let obscuration = disc(parameters.obscuration_diameter_m, [0.0; 2]);
+        let stop = disc(parameters.stop_diameter_m, parameters.stop_centre_m);
         let spiders = spiders(parameters);
         let mut shapes = Vec::with_capacity(segments.len());
         for (index, segment) in segments.iter().enumerate() {
@@ -213,12 +239,16 @@ impl Aperture {
                 false => Polygon::regular(6, centre, parameters.segment_side_m, parameters.rotation_deg.to_radians()),
             };
             let whole = outline.area();
-            let shape = SegmentShape::new(outline, disc.as_ref(), &spiders);
+            if parameters.dark_segments.contains(&index) {
+                shapes.push(SegmentShape::dark(outline));
+                continue;
+            }
+            let shape = SegmentShape::new(outline, stop.as_ref(), obscuration.as_ref(), &spiders);
             // Smaller areas are rounding errors of the clipping.
             if shape.area() < 1e-9 * whole {
                 return Err(Error::Value(format!(
-                    "segment {index} is completely in shadow: leave it out or make the obscuration ({} m) or the \
-                     spiders ({} m) smaller",
+                    "segment {index} is completely in shadow: leave it out, name it dark, or make the obscuration ({} m) or the \
+                     spiders ({} m) smaller, or the stop larger",
                     parameters.obscuration_diameter_m, parameters.spider_width_m
                 )));
             }
@@ -285,9 +315,9 @@ impl Aperture {
     }
 }
 
-/// The polygon with the area of the disc of the obscuration.
-fn disc(diameter: f64) -> Option<Polygon> {
-    (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], disc_vertices_m(diameter / 2.0), 0.0))
+/// The polygon with the area of a disc, of the obscuration or the stop.
+fn disc(diameter: f64, centre: Point) -> Option<Polygon> {
+    (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, centre, disc_vertices_m(diameter / 2.0), 0.0))
 }
 
 fn spiders(parameters: &HexagonalParameters) -> Vec<Arm> {

@@ -128,6 +128,9 @@ impl SegmentWeights {
         limit.check(grid.samples())?;
         aperture.check_width(grid)?;
         let column = |shape: &SegmentShape| {
+            if shape.pieces.is_empty() {
+                return Ok(Vec::new());
+            }
             let (y, x) = (Axis::new(shape.range(1), grid, limit, false), Axis::new(shape.range(0), grid, limit, true));
             let mut spectrum = vec![Complex64::default(); y.frequencies.len() * x.frequencies.len()];
             for (sign, piece) in &shape.pieces {

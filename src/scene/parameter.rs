@@ -107,6 +107,8 @@ impl Optic {
     pub const OBSCURATION: Self = Self::named("obscuration");
     /// Width of the spider's vanes.
     pub const SPIDERS: Self = Self::named("spiders");
+    /// Diameter and centre of the stop of a camera.
+    pub const STOP: Self = Self::named("stop");
     /// Light that each segment reflects.
     pub const REFLECTIVITIES: Self = Self::named("reflectivities");
     /// Slopes of the light over the pupil, and its rise from the centre to the edge.
@@ -428,6 +430,13 @@ static ROWS: &[Row] = &[
         }],
     },
     Row {
+        word: "stop",
+        about: "diameter and centre of the stop of the camera",
+        check: None,
+        cause: None,
+        parameters: &[stop("pupil.stop_diameter_m"), stop("pupil.stop_x_m"), stop("pupil.stop_y_m")],
+    },
+    Row {
         word: "reflectivities",
         about: "light that each segment reflects",
         check: None,
@@ -446,6 +455,19 @@ static ROWS: &[Row] = &[
         ],
     },
 ];
+
+const fn stop(key: &'static str) -> Parameter {
+    Parameter {
+        key,
+        absence: |pupil, _| match pupil.extent_m() {
+            None => Some(FILE),
+            Some(_) => (pupil.stop_diameter_m == 0.0).then_some("a pupil without a stop"),
+        },
+        step: |pupil, _| OBSCURATION_STEP * pupil.extent_m().unwrap_or(1.0),
+        least_fault: |_| 0.05,
+        ..USUAL
+    }
+}
 
 /// What has no shadows and no rotation of its own: its map includes them.
 const FILE: &str = "a pupil from a file";

@@ -48,6 +48,15 @@ section! {
         /// Directions of vanes that end at the centre, counter-clockwise from +x before
         /// rotation_deg; in place of spider_angles_deg.
         spider_vanes_deg: Option<Vec<f64>>, between(-360.0, 360.0), unset("the lines of spider_angles_deg");
+        /// Numbers of segments that give no light, from 0: out of the telescope, or hidden. Their
+        /// modes stay 0.
+        dark_segments: Vec<i64>, between(0.0, 1e5), default([]);
+        /// Diameter of a circular stop of the camera that limits the pupil; 0 for none.
+        stop_diameter_m: f64, between(0.0, 1000.0), default(0.0);
+        /// Centre of the stop along x, from the axis; it does not turn with the pupil.
+        stop_x_m: f64, between(-100.0, 100.0), default(0.0);
+        /// Centre of the stop along y.
+        stop_y_m: f64, between(-100.0, 100.0), default(0.0);
         /// Rotation of segments, their numbers and the spider about the axis, counter-clockwise;
         /// modes, diversity and mirror are not rotated. 'cophase scene --plot' shows it.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
@@ -111,7 +120,8 @@ impl PupilScene {
         let rings = ["rings", "removed_rings", "outer_radius_m", "segment_labels"];
         let geometry = ["segment_side_m", "segment_gap_m", "central_segment", "rotation_deg"];
         let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg", "spider_vanes_deg"];
-        reader.refuse(&[rings.as_slice(), &geometry, &blocked].concat(), "where the pupil comes from a file")?;
+        let lost = ["dark_segments", "stop_diameter_m", "stop_x_m", "stop_y_m"];
+        reader.refuse(&[rings.as_slice(), &geometry, &blocked, &lost].concat(), "where the pupil comes from a file")?;
         if self.grid_m.is_none() && reader.source.purpose != Purpose::Arrays {
             let file = file.display();
             return Err(reader.error(
@@ -174,6 +184,24 @@ impl PupilScene {
                 "pupil.outer_radius_m = {radius_m} leaves no segment; a radius that contains the centre of at least one is needed"
             );
             return Err(reader.error("outer_radius_m", sentence));
+        }
+        let dark: HashSet<i64> = self.dark_segments.iter().copied().collect();
+        let sentence = match dark.iter().find(|number| usize::try_from(**number).map_or(true, |number| number >= count))
+        {
+            Some(number) => Some(format!(
+                "pupil.dark_segments has {number}; numbers from 0 to {} are needed",
+                count.saturating_sub(1)
+            )),
+            None if dark.len() < self.dark_segments.len() => {
+                Some("pupil.dark_segments has a number twice; once is needed".into())
+            }
+            None if dark.len() == count => {
+                Some(format!("pupil.dark_segments has all {count} segments; fewer are needed"))
+            }
+            None => None,
+        };
+        if let Some(sentence) = sentence {
+            return Err(reader.error("dark_segments", sentence));
         }
         let Some(labels) = &self.segment_labels else { return Ok(()) };
         let mut seen = HashSet::new();

@@ -78,6 +78,9 @@ impl Telescope {
             spider_angles_deg: if pupil.spider_width_m > 0.0 { pupil.spider_angles_deg.clone() } else { Vec::new() },
             spider_vanes_deg: pupil.spider_vanes_deg.clone().unwrap_or_default(),
             rotation_deg: pupil.rotation_deg,
+            dark_segments: pupil.dark_segments.iter().map(|number| *number as usize).collect(),
+            stop_diameter_m: pupil.stop_diameter_m,
+            stop_centre_m: [pupil.stop_x_m, pupil.stop_y_m],
         };
         let aperture = Aperture::hexagonal(&parameters)?;
         let turned = |turn_deg: f64| {

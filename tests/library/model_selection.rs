@@ -105,3 +105,18 @@ fn misfit_outside_the_modes_remains_a_misfit() {
     assert_eq!(found.status, Status::Misfit);
     assert!(!found.model.contains("extended"), "{}", found.model);
 }
+
+/// The fit of a pupil with all light ends far from an image of one that lacks a part.
+#[test]
+#[ignore = "merge: 12 s"]
+fn light_that_the_pupil_lacks_is_found() {
+    let dark = estimate(&[("pupil.dark_segments", "[4]")], &[("pupil.dark_segments", "[]")], Policy::default());
+    assert!(dark.model.contains("pupil.dark_segments = [4]"), "{} {:?}", dark.model, dark.warnings);
+    assert!(dark.status == Status::Ok && dark.scene.pupil.dark_segments == [4], "{:?}", dark.status);
+    let stop = [("pupil.stop_diameter_m", "4.2"), ("pupil.stop_x_m", "0.1")];
+    let none = [("pupil.stop_diameter_m", "0"), ("pupil.stop_x_m", "0")];
+    let stopped = estimate(&stop, &none, Policy::default());
+    assert_eq!(stopped.status, Status::Ok, "{:?}", stopped.warnings);
+    let found = |key: &str| stopped.optics.iter().find(|parameter| parameter.key == key).unwrap().value;
+    assert!((found("pupil.stop_diameter_m") - 4.2).abs() < 0.02 && (found("pupil.stop_x_m") - 0.1).abs() < 0.02);
+}

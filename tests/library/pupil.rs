@@ -61,6 +61,22 @@ fn extents_are_those_of_the_outermost_vertices() {
 }
 
 #[test]
+fn a_stop_and_dark_segments_take_light_away() {
+    let stop = HexagonalParameters { stop_diameter_m: 1.0, stop_centre_m: [0.2, -0.1], ..single() };
+    let area_m2 = Aperture::hexagonal(&stop).unwrap().segment_areas_m2()[0];
+    assert!((area_m2 - 0.25 * std::f64::consts::PI).abs() < 1e-9, "{area_m2}");
+    let dark = HexagonalParameters { dark_segments: vec![8, 20], ..HexagonalParameters::keck() };
+    let (dark, whole) = (Aperture::hexagonal(&dark).unwrap(), Aperture::keck());
+    for (number, (own, before)) in dark.segment_areas_m2().iter().zip(whole.segment_areas_m2()).enumerate() {
+        assert_eq!(*own, if [8, 20].contains(&number) { 0.0 } else { before });
+    }
+    // The numbers of the others and the width stay.
+    assert_eq!((dark.segments().len(), dark.width_m()), (36, whole.width_m()));
+    let beyond = HexagonalParameters { dark_segments: vec![36], ..HexagonalParameters::keck() };
+    assert!(Aperture::hexagonal(&beyond).unwrap_err().to_string().contains("0 to 35"));
+}
+
+#[test]
 fn a_rotated_mirror_has_a_rotated_spectrum() {
     let shadows = HexagonalParameters {
         obscuration_diameter_m: 1.4,

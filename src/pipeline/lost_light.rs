@@ -1,0 +1,93 @@
+//! Light that a pupil lacks and the scene has: segments without any, a stop of the camera.
+//!
+//! From the model with all light no fit leads there, because the image is of another shape: each is
+//! tried, by a coarse model with the first Zernikes, whose χ² has to fall by much.
+
+use crate::Result;
+use crate::scene::{NcpaBasis, NollRange, Scene};
+use crate::telescope::Telescope;
+use rayon::prelude::*;
+
+/// Most segments of a mirror of which each is tried: a fit of the coarse model takes a tenth of a
+/// second.
+const MOST_TRIED: usize = 61;
+/// Most segments without light that are found.
+const MOST_DARK: usize = 5;
+/// Part of χ² that one more may leave.
+const MOST_LEFT: f64 = 0.8;
+/// Samples of the coarse model along a side, and its Zernikes, to radial order 5.
+const SAMPLES: usize = 64;
+const ZERNIKES: usize = 20;
+/// Diameters of a stop that are tried, relative to the pupil's width. A fit reaches those between.
+const STOPS: [f64; 4] = [0.96, 0.92, 0.87, 0.82];
+
+/// Segments that are tried beside those that were found: those that alone lowered χ² most.
+const CANDIDATES: usize = 8;
+
+/// What a pupil lacks.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum LostLight {
+    /// These segments.
+    Dark(Vec<i64>),
+    /// What is beyond about this diameter, m.
+    Stop(f64),
+}
+
+/// What lowers the χ² of an image most: segments without light, or a stop; `None` where neither
+/// lowers it by much. `fitted` is the reduced χ² with a scene, where it can be fitted.
+///
+/// # Errors
+/// Those of `fitted`.
+pub(super) fn find(
+    scene: &Scene,
+    fitted: &(dyn Fn(&Scene) -> Result<Option<f64>> + Sync),
+) -> Result<Option<LostLight>> {
+    let Some(width_m) = scene.pupil.extent_m() else { return Ok(None) };
+    if !scene.pupil.dark_segments.is_empty() || scene.pupil.stop_diameter_m > 0.0 {
+        return Ok(None);
+    }
+    let coarse = scene.changed(|sections| {
+        (sections.modes.ncpa, sections.modes.ncpa_count) = (NcpaBasis::Zernike, ZERNIKES);
+        sections.modes.exact_zernikes = Some(NollRange::None);
+        sections.estimate.samples = Some(SAMPLES);
+        sections.leave_out_posterior();
+    })?;
+    let chi2 = |dark: &[i64], stop_diameter_m: f64| -> Result<f64> {
+        let changed = coarse.changed(|sections| {
+            sections.pupil.dark_segments = dark.to_vec();
+            sections.pupil.stop_diameter_m = stop_diameter_m;
+        });
+        // Such as a stop that hides a segment.
+        let Ok(changed) = changed else { return Ok(f64::INFINITY) };
+        Ok(fitted(&changed)?.filter(|chi2| chi2.is_finite()).unwrap_or(f64::INFINITY))
+    };
+    // The trials, from the smallest χ² on.
+    let ranked = |trials: Vec<Result<(f64, usize)>>| -> Result<Vec<(f64, usize)>> {
+        let mut found = trials.into_iter().collect::<Result<Vec<_>>>()?;
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(found)
+    };
+    let own = chi2(&[], 0.0)?;
+    let of_stop = |number: usize| Ok((chi2(&[], STOPS[number] * width_m)?, number));
+    let stop = ranked((0..STOPS.len()).into_par_iter().map(of_stop).collect())?.first().copied();
+    let segments = Telescope::new(scene)?.pupil.segments.len();
+    let mut candidates: Vec<usize> = if segments <= MOST_TRIED { (0..segments).collect() } else { Vec::new() };
+    let (mut dark, mut least) = (Vec::new(), own);
+    while dark.len() < MOST_DARK && !candidates.is_empty() {
+        let beside = |&number: &usize| Ok((chi2(&[&dark[..], &[number as i64]].concat(), 0.0)?, number));
+        let found = ranked(candidates.par_iter().map(beside).collect())?;
+        let [(chi2, number), ..] = found[..] else { break };
+        if chi2 > MOST_LEFT * least {
+            break;
+        }
+        least = chi2;
+        dark.push(number as i64);
+        candidates = found[1..].iter().take(CANDIDATES).map(|(_, number)| *number).collect();
+    }
+    dark.sort_unstable();
+    Ok(match stop {
+        Some((chi2, number)) if chi2 < (MOST_LEFT * own).min(least) => Some(LostLight::Stop(STOPS[number] * width_m)),
+        _ if !dark.is_empty() => Some(LostLight::Dark(dark)),
+        _ => None,
+    })
+}
