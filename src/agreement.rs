@@ -4,6 +4,7 @@
 //! An estimate and a reduction read this one list, so that no reduction makes images of frames that
 //! an estimate then refuses.
 
+pub(crate) mod odd_pixels;
 pub(crate) mod padded_counts;
 
 use crate::io::{HeaderFact, Quantity};

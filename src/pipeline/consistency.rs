@@ -5,7 +5,7 @@
 
 use super::images::{Images, Trust};
 use super::instrument;
-use crate::agreement::{Compared, Disagreement, GAIN, padded_counts};
+use crate::agreement::{Compared, Disagreement, GAIN, odd_pixels, padded_counts};
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 use crate::modal::Cube;
 use crate::scene::{Scene, Setting};
@@ -78,8 +78,9 @@ pub(super) struct Contradiction {
 /// Compares `images` with `scene`, and converts them to electrons.
 ///
 /// # Errors
-/// [`Error::Image`] for a file that contradicts the scene, and for pixels that are not in electrons
-/// and have no gain; [`Error::Scene`] for a value of the file that the scene does not accept.
+/// [`Error::Image`] for a file that contradicts the scene, for pixels that are not in electrons
+/// and have no gain, and for counts that wrapped; [`Error::Scene`] for a value of the file that the
+/// scene does not accept.
 pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consistent<'a>> {
     let (scene_now, remarks) = (scene.clone(), images.remarks.clone());
     let mut comparison =
@@ -104,9 +105,19 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
         Some(gain) => Cow::Owned(&images.images_e * gain),
         None => Cow::Borrowed(&images.images_e),
     };
+    if let Some(reason) = odd_pixels::wrapped(images.images_e.view()) {
+        return Err(Error::Image(reason));
+    }
+    let bad = match odd_pixels::dead_lines(images.images_e.view(), &images.bad) {
+        Some((marked, remark)) => {
+            comparison.remarks.push(remark);
+            Cow::Owned(marked)
+        }
+        None => Cow::Borrowed(&images.bad),
+    };
     let electrons = Electrons {
         images_e,
-        bad: Cow::Borrowed(&images.bad),
+        bad,
         read_noise_e,
         slopes_mas: images.slopes_mas.as_ref(),
         moved_reference_mas: images.moved_reference_mas.as_ref(),

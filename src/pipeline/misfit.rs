@@ -10,8 +10,11 @@ use crate::scene::{Optic, Scene, rounded};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
 
-/// Part of the largest value from which a pixel counts as being at the top.
-pub(super) const TOP: f64 = 0.995;
+/// Part of the largest value from which a pixel has that value, but for its rounding to single
+/// precision. A saturated detector gives one value; a flat top within its noise does not.
+pub(super) const TOP: f64 = 1.0 - 1e-6;
+/// Part of the model's peak from which a pixel of whole counts may have one value with it.
+const FLAT: f64 = 0.995;
 /// Fewest pixels at the top of a saturated image: noise and a peak between pixels make one or two.
 const SATURATED_PIXELS: usize = 4;
 /// Part of the excess of χ² that a shape of the residual must explain. The right one explains 95 %
@@ -208,7 +211,7 @@ pub(super) fn saturation(fitted: &FittedImage, frame_e: ArrayView2<f64>, bad: Ar
     let largest = good().map(|(electrons, _)| *electrons).fold(f64::MIN, f64::max);
     let top = good().filter(|(electrons, _)| **electrons >= TOP * largest).count();
     let peak = fitted.model_e.iter().copied().fold(f64::MIN, f64::max);
-    let expected = fitted.model_e.iter().filter(|electrons| **electrons >= TOP * peak).count();
+    let expected = fitted.model_e.iter().filter(|electrons| **electrons >= FLAT * peak).count();
     (largest > 0.0 && top >= SATURATED_PIXELS + 3 * expected.saturating_sub(1)).then(|| {
         format!(
             "{top} pixels are at the largest value, {largest:.0} e⁻, where one peak is expected: the detector is saturated; mark \
@@ -227,7 +230,13 @@ mod tests {
     }
 
     fn cause(image: impl Fn(usize, usize) -> f64) -> Option<String> {
-        let data_e = Array2::from_shape_fn((32, 32), |(y, x)| image(y, x) + 3.0 * ((7 * x + 13 * y) as f64).sin());
+        cause_below(f64::INFINITY, image)
+    }
+
+    /// That of an image with noise by a detector that gives no more than `most_e`.
+    fn cause_below(most_e: f64, image: impl Fn(usize, usize) -> f64) -> Option<String> {
+        let noisy_e = |(y, x)| image(y, x) + 3.0 * ((7 * x + 13 * y) as f64).sin();
+        let data_e = Array2::from_shape_fn((32, 32), |at| noisy_e(at).min(most_e));
         let spot = Array2::from_shape_fn((32, 32), |(y, x)| spot(y, x, (16.0, 16.0)));
         // With the flux of a fit, and noise a little below that stated.
         let model_e = &spot * ((&data_e * &spot).sum() / (&spot * &spot).sum());
@@ -242,8 +251,11 @@ mod tests {
         let one = |y, x| spot(y, x, (16.0, 16.0));
         assert_eq!(cause(one), None);
         assert_eq!(cause(|y, x| 1.1 * one(y, x)), None);
-        let clipped = cause(|y, x| if one(y, x) > 6000.0 { 6000.0 } else { one(y, x) }).unwrap();
+        let clipped = cause_below(6000.0, one).unwrap();
         assert!(clipped.contains("saturated"), "{clipped}");
+        // A flat top within its noise is none.
+        let flat = cause(|y, x| one(y, x).min(6000.0)).unwrap();
+        assert!(!flat.contains("saturated"), "{flat}");
         let double = cause(|y, x| one(y, x) + 0.2 * spot(y, x, (20.0, 9.0))).unwrap();
         // Of the flux of the fit, which includes a part of the second star's.
         assert!(double.contains("0.199 of its flux") && double.contains("(-14 along x, 8 along y)"), "{double}");
@@ -252,6 +264,13 @@ mod tests {
         // Of the flux of the fit, which is a few per cent less.
         let percent = curved.split("signal, ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
         assert!(curved.contains("a non-linear detector") && (-12.0..-10.0).contains(&percent), "{curved}");
+        // A weak column, gains of two halves, and levels of every other column.
+        let weak = cause(|y, x| one(y, x) * if x == 13 { 0.6 } else { 1.0 }).unwrap();
+        assert!(weak.contains("in some columns") && weak.contains("in that at -3 model pixels"), "{weak}");
+        let halves = cause(|y, x| one(y, x) * if y >= 16 { 1.05 } else { 1.0 }).unwrap();
+        assert!(halves.contains("in some rows"), "{halves}");
+        let levels = cause(|y, x| one(y, x) + if x % 2 == 0 { 40.0 } else { 0.0 }).unwrap();
+        assert!(levels.contains("a level of each column") && levels.contains("biases"), "{levels}");
         // The mean over nine neighbours.
         let neighbours = |y: usize, x: usize| {
             [(y, x - 1), (y, x), (y, x + 1)].map(|(y, x)| [one(y - 1, x), one(y, x), one(y + 1, x)])

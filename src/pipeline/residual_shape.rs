@@ -30,6 +30,10 @@ pub(super) enum ShapeKind {
     NonLinearity,
     /// Second derivatives: RMS of the blur, detector pixels.
     Blur,
+    /// A response of each column or row of its own: RMS of it.
+    Response,
+    /// A level of each column or row of its own: its RMS, electrons.
+    Level,
 }
 
 /// A shape of the residual: its share of the excess of χ², and the sentence's end that names it.
@@ -43,6 +47,53 @@ pub(super) struct Shape {
     /// What was found, in the unit of its kind.
     pub(super) value: f64,
     pub(super) sentence: String,
+}
+
+/// Lines of pixels that hold this part of what all explain are named.
+const NAMED_PART: f64 = 0.8;
+/// Most lines that are named.
+const NAMED_LINES: usize = 6;
+
+/// What a residual has of a column of numbers in each line of pixels.
+struct ByLine {
+    share: f64,
+    /// Lines that have some of it.
+    lines: usize,
+    /// The decrease of χ² of all.
+    total: f64,
+    /// RMS of the values, weighted as they count.
+    rms: f64,
+    values: Vec<f64>,
+    /// Decrease of χ² of each.
+    gains: Vec<f64>,
+}
+
+impl ByLine {
+    /// The few lines that explain most, with the value of the first, as a sentence's part.
+    fn what(&self, axis: usize, value: impl Fn(f64) -> String) -> Option<String> {
+        let mut order: Vec<usize> = (0..self.gains.len()).collect();
+        order.sort_by(|&a, &b| self.gains[b].total_cmp(&self.gains[a]));
+        let mut most = order[..NAMED_LINES.min(order.len())].to_vec();
+        let held: f64 = most.iter().map(|&line| self.gains[line]).sum();
+        if held < NAMED_PART * self.total {
+            return None;
+        }
+        most.retain(|&line| self.gains[line] > 0.05 * self.total);
+        let (first, middle) = (*order.first()?, self.gains.len() / 2);
+        most.sort_unstable();
+        let places: Vec<String> = most.iter().map(|&line| (line as i64 - middle as i64).to_string()).collect();
+        Some(format!(
+            "{} in that at {} model pixels from the star along {} (the clearest at {})",
+            value(self.values[first]),
+            places.join(", "),
+            ["x", "y"][axis],
+            first as i64 - middle as i64
+        ))
+    }
+
+    fn shape(self, kind: ShapeKind, sentence: String) -> Shape {
+        Shape { kind, share: self.share, decrease: self.total, parameters: self.lines, value: self.rms, sentence }
+    }
 }
 
 /// The residual of an image, with what explains it.
@@ -109,7 +160,72 @@ impl Residual {
 
     /// All shapes, each fitted alone.
     pub(super) fn shapes(&self) -> Vec<Shape> {
-        [self.copy_of_star(), self.square_of_signal(), self.blur()].into_iter().flatten().collect()
+        let clearer = |of: [Option<Shape>; 2]| of.into_iter().flatten().max_by(|a, b| a.share.total_cmp(&b.share));
+        let of_lines = [[0, 1].map(|axis| self.responses_along(axis)), [0, 1].map(|axis| self.levels_along(axis))];
+        let others = [self.copy_of_star(), self.square_of_signal(), self.blur()];
+        others.into_iter().flatten().chain(of_lines.into_iter().filter_map(clearer)).collect()
+    }
+
+    /// A response of its own of each column (0) or row (1): a column that is weak or dead, or gains
+    /// of amplifiers.
+    fn responses_along(&self, axis: usize) -> Option<Shape> {
+        let own = self.by_line(axis, &self.star_e)?;
+        let percent = 100.0 * own.rms;
+        let what = own.what(axis, |value| format!("{:+.0} %", 100.0 * value)).unwrap_or_else(|| {
+            format!("{percent:.1} % RMS: gains of amplifiers or of single lines, or a flat field that is not theirs")
+        });
+        let lines = ["column", "row"][axis];
+        let sentence = format!(
+            "{:.0} % of it is the star's light in some {lines}s more or less than in others, {what}; correct the images for it, or mark \
+             the {lines}s as bad (BADPIX or --mask)",
+            100.0 * own.share
+        );
+        Some(own.shape(ShapeKind::Response, sentence))
+    }
+
+    /// A level of its own of each column (0) or row (1): a warm column, or biases of amplifiers.
+    fn levels_along(&self, axis: usize) -> Option<Shape> {
+        let own = self.by_line(axis, &Array2::ones(self.star_e.dim()))?;
+        let native = self.native * self.native;
+        let what = own.what(axis, |value| format!("{:+.0} e⁻ a pixel", value / native)).unwrap_or_else(|| {
+            format!(
+                "{:.1} e⁻ RMS: biases of amplifiers or of single lines, or a background with a slope",
+                own.rms / native
+            )
+        });
+        let lines = ["column", "row"][axis];
+        let sentence = format!(
+            "{:.0} % of it is a level of each {lines} of its own, {what}; subtract it, or mark the {lines}s as bad (BADPIX or --mask)",
+            100.0 * own.share
+        );
+        Some(own.shape(ShapeKind::Level, sentence))
+    }
+
+    /// `column` in each line of pixels by itself, as much as the residual has of it. The lines
+    /// share no pixel, so that no matrix is inverted; what the modes absorb of them counts as not
+    /// explained.
+    fn by_line(&self, axis: usize, column: &Array2<f64>) -> Option<ByLine> {
+        let across = Axis(1 - axis);
+        let sums = |line: usize| {
+            let of = |map: &Array2<f64>| map.index_axis(across, line).to_owned();
+            let (value, weight) = (of(column), of(&self.weight));
+            ((&value * &of(&self.residual_e) * &weight).sum(), (&value * &value * weight).sum())
+        };
+        let all: Vec<(f64, f64)> = (0..self.star_e.len_of(across)).map(sums).collect();
+        let gains: Vec<f64> =
+            all.iter().map(|(along, square)| if *square > 0.0 { along * along / square } else { 0.0 }).collect();
+        let values = all.iter().map(|(along, square)| if *square > 0.0 { along / square } else { 0.0 });
+        let (lines, total): (usize, f64) = (gains.iter().filter(|gain| **gain > 0.0).count(), gains.iter().sum());
+        let squares: f64 = all.iter().map(|(_, square)| square).sum();
+        let rms = (total / squares).sqrt();
+        (rms.is_finite() && self.excess > 0.0).then(|| ByLine {
+            share: (total - lines as f64) / self.excess,
+            lines,
+            total,
+            rms,
+            values: values.collect(),
+            gains,
+        })
     }
 
     /// χ² less the degrees of freedom.

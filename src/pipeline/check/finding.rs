@@ -35,6 +35,10 @@ pub enum CheckedQuantity {
     NonLinearity,
     /// A blur that the model lacks.
     Blur,
+    /// Response of each column, or of each row: bad ones, gains of amplifiers.
+    ResponseOfLines,
+    /// Electrons of each column, or of each row: warm ones, biases of amplifiers.
+    LevelOfLines,
     /// Scatter of the pixels, against photon and read noise.
     Noise,
     /// Electrons of a pixel without the star.
@@ -63,6 +67,8 @@ impl CheckedQuantity {
             Self::Companion => "companion",
             Self::NonLinearity => "non-linearity",
             Self::Blur => "blur",
+            Self::ResponseOfLines => "response of columns and rows",
+            Self::LevelOfLines => "level of columns and rows",
             Self::Noise => "noise",
             Self::Background => "background",
             Self::Sampling => "sampling",

@@ -15,6 +15,8 @@ pub(super) fn least(kind: ShapeKind) -> f64 {
         ShapeKind::Companion => 2e-3,
         ShapeKind::NonLinearity => 3e-3,
         ShapeKind::Blur => 0.2,
+        // Of hundreds of lines the smallest that is significant is larger.
+        ShapeKind::Response | ShapeKind::Level => 0.0,
     }
 }
 
@@ -24,6 +26,8 @@ pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
         ShapeKind::Companion => CheckedQuantity::Companion,
         ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
         ShapeKind::Blur => CheckedQuantity::Blur,
+        ShapeKind::Response => CheckedQuantity::ResponseOfLines,
+        ShapeKind::Level => CheckedQuantity::LevelOfLines,
     };
     let sentence = match verdict {
         Verdict::Fault => shape.sentence.replacen("of it", "of the residual", 1),
@@ -33,8 +37,9 @@ pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
             format!("it would explain {percent:.0} % of the residual, most of which has another cause")
         }
     };
-    // Of a linear coefficient, whose square over its variance is the decrease.
-    let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
+    // Of a linear coefficient, whose square over its variance is the decrease; many have none.
+    let is_one = !matches!(shape.kind, ShapeKind::Response | ShapeKind::Level);
+    let sigma = if is_one { shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt() } else { f64::NAN };
     // Of a residual that has another cause the coefficient says nothing.
     let is_fault = verdict == Verdict::Fault;
     let (found, sigma) = (is_fault.then_some(shape.value), (is_fault && sigma.is_finite()).then_some(sigma));
