@@ -250,6 +250,17 @@ impl ModalFitter {
         self.motions.contain(direction)
     }
 
+    /// Whether `direction` moves but segments that the scene has without light.
+    pub(crate) fn is_of_dark_segments(&self, direction: &Direction) -> bool {
+        /// Part of its square that is of them; the mean over the mirror, which is 0, takes the
+        /// rest.
+        const LEAST_SHARE: f64 = 0.9;
+        let (dark, pistons) = (&self.scene.pupil.dark_segments, self.model.pistons());
+        let is_dark = |mode: usize| pistons > 0 && dark.contains(&((mode % pistons) as i64));
+        let moves = direction.coefficients.iter().take(self.model.segment_modes).enumerate();
+        moves.filter(|(mode, _)| is_dark(*mode)).map(|(_, share)| share * share).sum::<f64>() > LEAST_SHARE
+    }
+
     /// Errors that all images share, so that no number of images averages them out.
     pub fn shared_errors(&self) -> &[SharedError] {
         &self.shared

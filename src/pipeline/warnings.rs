@@ -9,6 +9,7 @@ use crate::modal::{
     self, Agreement, DiversityProjection, ImageReport, Model, ModelError, PistonInteger, RejectedPixels, Session,
     SharedFigure, Status, Verdict, WithLeftOut,
 };
+use crate::modes::Direction;
 use crate::scene::AoKnowledge;
 use crate::statics::{ErrorSource, Iteration};
 
@@ -103,7 +104,8 @@ pub(super) fn modal_warnings(
     let of_step = found.left_out().filter(|_| found.status_of_all().is_near_minimum());
     sentences.extend(of_step.map(left_out_warnings).unwrap_or_default());
     sentences.extend(model_warning(model));
-    let unknown = found.degeneracy.null.iter().filter(|direction| alone && !fitter.is_global_motion(direction));
+    let is_known = |direction: &Direction| fitter.is_global_motion(direction) || fitter.is_of_dark_segments(direction);
+    let unknown = found.degeneracy.null.iter().filter(|direction| alone && !is_known(direction));
     sentences.extend(unknown_warning(&unknown.map(|direction| direction.description.as_str()).collect::<Vec<_>>()));
     sentences
 }
