@@ -1,6 +1,8 @@
 //! Pixels that no detector measures: counts that wrapped, and columns and rows with one value.
 
 use ndarray::{Array3, ArrayView2, ArrayView3, Axis};
+use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 /// The largest count of 16 bits without a sign.
 const LARGEST_U16: f64 = 65_535.0;
@@ -41,31 +43,25 @@ pub(crate) fn wrapped(counts: ArrayView3<f64>) -> Option<String> {
     })
 }
 
-/// Marks the columns and rows of each image all of whose good pixels have one value, where the
-/// lines beside them do not, and says which; `None` where there are none. Noise gives no line one
-/// value.
-pub(crate) fn dead_lines(images: ArrayView3<f64>, bad: &Array3<bool>) -> Option<(Array3<bool>, String)> {
-    let (mut marked, mut named) = (bad.clone(), [Vec::new(), Vec::new()]);
-    for (image, mut marked) in images.outer_iter().zip(marked.outer_iter_mut()) {
+/// The good pixels of `images` `[image, y, x]` without the columns and rows all of which have one
+/// value, where the lines beside them do not: `bad` with these, and the numbers of such columns,
+/// and of such rows, of any image. Noise gives no line one value.
+pub(crate) fn without_dead_lines<'a>(
+    images: ArrayView3<f64>,
+    bad: &'a Array3<bool>,
+) -> (Cow<'a, Array3<bool>>, [BTreeSet<usize>; 2]) {
+    let (mut marked, mut found) = (Cow::Borrowed(bad), [BTreeSet::new(), BTreeSet::new()]);
+    for (number, image) in images.outer_iter().enumerate() {
         // A column has one value but where it crosses a row of another.
         for axis in [0, 1, 0] {
             let across = Axis(1 - axis);
-            for line in dead(image, marked.view(), across) {
-                marked.index_axis_mut(across, line).fill(true);
-                named[axis].push(line);
+            for line in dead(image, marked.index_axis(Axis(0), number), across) {
+                marked.to_mut().index_axis_mut(Axis(0), number).index_axis_mut(across, line).fill(true);
+                found[axis].insert(line);
             }
         }
     }
-    if named.iter().all(Vec::is_empty) {
-        return None;
-    }
-    let listed = named.into_iter().zip(["column", "row"]).filter_map(|(mut lines, noun)| {
-        lines.sort_unstable();
-        lines.dedup();
-        runs(&lines).map(|text| format!("{noun}{} {text}", if lines.len() == 1 { "" } else { "s" }))
-    });
-    let named = listed.collect::<Vec<_>>().join(" and ");
-    Some((marked, format!("All pixels of {named} have one value, as of dead or stuck ones: they were masked.")))
+    (marked, found)
 }
 
 /// The lines across an axis whose pixels have one value.
@@ -97,20 +93,6 @@ fn dead(image: ArrayView2<f64>, bad: ArrayView2<bool>, across: Axis) -> Vec<usiz
     (0..size).filter(is_dead).collect()
 }
 
-/// Lines by their numbers from 0, consecutive ones as a range.
-fn runs(lines: &[usize]) -> Option<String> {
-    let mut runs: Vec<[usize; 2]> = Vec::new();
-    for &line in lines {
-        match runs.last_mut() {
-            Some([_, last]) if *last + 1 == line => *last = line,
-            _ => runs.push([line, line]),
-        }
-    }
-    let named =
-        runs.iter().map(|[first, last]| if first == last { first.to_string() } else { format!("{first} to {last}") });
-    (!runs.is_empty()).then(|| named.collect::<Vec<_>>().join(", "))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -122,21 +104,22 @@ mod tests {
     }
 
     #[test]
-    fn lines_of_one_value_are_marked_and_named() {
+    fn lines_of_one_value_are_marked() {
         let none = Array3::from_elem((2, 24, 30), false);
-        assert!(dead_lines(frame(5.0).view(), &none).is_none());
+        let lines = |images: &Array3<f64>| without_dead_lines(images.view(), &none).1.map(Vec::from_iter);
+        assert_eq!(lines(&frame(5.0)), [vec![], vec![]]);
         let mut spoilt = frame(5.0);
         spoilt.index_axis_mut(Axis(0), 1).slice_mut(ndarray::s![.., 3..6]).fill(0.0);
         spoilt.slice_mut(ndarray::s![.., 9, ..]).fill(700.0);
-        let (marked, sentence) = dead_lines(spoilt.view(), &none).unwrap();
-        assert!(sentence.contains("columns 3 to 5 and row 9"), "{sentence}");
+        assert_eq!(lines(&spoilt), [vec![3, 4, 5], vec![9]]);
+        let (marked, _) = without_dead_lines(spoilt.view(), &none);
         // Three columns cross one row of the second image, which is marked in both.
         assert_eq!(marked.iter().filter(|bad| **bad).count(), 2 * 30 + 3 * 24 - 3);
         // A frame of few photons has lines without any, beside others with few.
-        let mut faint = Array3::zeros((1, 24, 30));
+        let mut faint = Array3::zeros((2, 24, 30));
         faint[[0, 12, 14]] = 1.0;
-        faint[[0, 13, 15]] = 2.0;
-        assert!(dead_lines(faint.view(), &Array3::from_elem((1, 24, 30), false)).is_none());
+        faint[[1, 13, 15]] = 2.0;
+        assert_eq!(lines(&faint), [vec![], vec![]]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning, left_out_warnings};
 use crate::control::{Control, Stage};
-use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, joint};
+use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, WithLeftOut, joint};
 use crate::scene::{Grouping, Optic, Scene, Sections};
 use crate::statics::ErrorTerm;
 use crate::statistics::median;
@@ -258,7 +258,6 @@ pub(super) fn combined(
         error_budget.push(own);
     }
     let left_out = found.left_out.as_ref();
-    let status = *Status::worst(each.iter().map(|one| &one.status));
     let sigma_nm = errors.of_maps_nm(&found.modes.covariance_nm2, left_out)?;
     let figures = Figures::new(&first.pupil, &found.maps, sigma_nm)?;
     let without_staircases = WithoutStaircases::of((&errors, own.fitter.model()), left_out, &figures)?;
@@ -272,13 +271,10 @@ pub(super) fn combined(
         without_staircases,
         pupil: first.pupil.clone(),
         error_budget,
-        model_errors: left_out
-            .filter(|_| status.is_near_minimum())
-            .map(|left_out| left_out.errors.clone())
-            .unwrap_or_default(),
+        model_errors: of_step(&found, &each).map(|left_out| left_out.errors.clone()).unwrap_or_default(),
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
-        status,
+        status: *Status::worst(each.iter().map(|one| &one.status)),
         is_sequence,
         model: first.model.clone(),
         optics: optics(&found, &names, &each),
@@ -295,6 +291,12 @@ pub(super) fn combined(
     })
 }
 
+/// What the step found; `None` where a fit ended far from its minimum, from where a linear step has
+/// no meaning.
+fn of_step<'a>(found: &'a JointEstimate, each: &[Estimate]) -> Option<&'a WithLeftOut> {
+    found.left_out.as_ref().filter(|_| each.iter().all(|one| one.status.is_near_minimum()))
+}
+
 fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<String> {
     let mut sentences: Vec<String> = Vec::new();
     for (number, one) in each.iter().enumerate() {
@@ -308,8 +310,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             defocus.optic.word()
         ));
     }
-    let of_step = found.left_out.as_ref().filter(|_| each.iter().all(|one| one.status.is_near_minimum()));
-    sentences.extend(of_step.map(left_out_warnings).unwrap_or_default());
+    sentences.extend(of_step(found, each).map(left_out_warnings).unwrap_or_default());
     sentences.extend(integers_warning(&found.integers));
     sentences.extend(found.is_contradictory().then(|| contradiction_warning(found.disagreement)));
     sentences
@@ -317,7 +318,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
 
 /// Remarks of the channels, each once; that on the diversity is of all channels together.
 fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
-    let mut sentences: Vec<String> = found.left_out.iter().flat_map(super::remarks::left_out_remarks).collect();
+    let mut sentences: Vec<String> = of_step(found, each).map(super::remarks::left_out_remarks).unwrap_or_default();
     for sentence in each.iter().flat_map(|one| &one.remarks) {
         if !sentences.contains(sentence) && !sentence.starts_with(super::remarks::ON_DIVERSITY) {
             sentences.push(sentence.clone());

@@ -3,7 +3,7 @@
 //!
 //! A contradiction is an error, unless [`Images::trust`] says which of the two holds.
 
-use super::images::{Images, Trust};
+use super::images::{Images, Trust, in_ranges};
 use super::instrument;
 use crate::agreement::{Compared, Disagreement, GAIN, odd_pixels, padded_counts};
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
@@ -12,6 +12,7 @@ use crate::scene::{Scene, Setting};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 /// Images in electrons, as the methods of an estimate take them.
 pub(super) struct Electrons<'a> {
@@ -108,13 +109,8 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
     if let Some(reason) = odd_pixels::wrapped(images.images_e.view()) {
         return Err(Error::Image(reason));
     }
-    let bad = match odd_pixels::dead_lines(images.images_e.view(), &images.bad) {
-        Some((marked, remark)) => {
-            comparison.remarks.push(remark);
-            Cow::Owned(marked)
-        }
-        None => Cow::Borrowed(&images.bad),
-    };
+    let (bad, dead) = odd_pixels::without_dead_lines(images.images_e.view(), &images.bad);
+    comparison.remarks.extend(dead_lines_remark(dead));
     let electrons = Electrons {
         images_e,
         bad,
@@ -124,6 +120,17 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
     };
     let Comparison { scene, is_changed, remarks, contradictions, .. } = comparison;
     Ok(Consistent { images: electrons, scene, is_changed, remarks, contradictions })
+}
+
+/// Remark on columns and rows that were masked; `None` where there are none.
+fn dead_lines_remark(dead: [BTreeSet<usize>; 2]) -> Option<String> {
+    let named = dead.into_iter().zip(["column", "row"]).filter(|(lines, _)| !lines.is_empty()).map(|(lines, noun)| {
+        let lines: Vec<usize> = lines.into_iter().collect();
+        format!("{noun}{} {}", if lines.len() == 1 { "" } else { "s" }, in_ranges(&lines, 0))
+    });
+    let named = named.collect::<Vec<_>>().join(" and ");
+    (!named.is_empty())
+        .then(|| format!("All pixels of {named} have one value, as of dead or stuck ones: they were masked."))
 }
 
 struct Comparison<'a> {

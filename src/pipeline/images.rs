@@ -397,3 +397,24 @@ fn slopes(file: &mut FitsReader, read: &io::HduImages) -> Result<MatchedSlopes> 
 pub(super) fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
+
+/// Most ranges of numbers that a sentence has.
+const MOST_RANGES: usize = 8;
+
+/// Ascending numbers, counted from `first`, consecutive ones as a range: `1 to 4, 7`.
+pub(super) fn in_ranges(numbers: &[usize], first: usize) -> String {
+    let mut ranges: Vec<[usize; 2]> = Vec::new();
+    for &number in numbers {
+        match ranges.last_mut() {
+            Some([_, last]) if *last + 1 == number => *last = number,
+            _ => ranges.push([number, number]),
+        }
+    }
+    let named = ranges.iter().take(MOST_RANGES).map(|&[from, to]| match to - from {
+        0 => format!("{}", from + first),
+        1 => format!("{}, {}", from + first, to + first),
+        _ => format!("{} to {}", from + first, to + first),
+    });
+    let more = if ranges.len() > MOST_RANGES { ", ..." } else { "" };
+    named.collect::<Vec<_>>().join(", ") + more
+}

@@ -38,6 +38,7 @@ impl Fitted {
         let of_scene = [
             remarks::diversity_remark(&diversity, &scene),
             remarks::averaged_pupil_remark(&scene, &model.telescope),
+            remarks::dark_segments_remark(&scene),
             remarks::orientation_remark(&scene, &model.telescope)?,
             unit_remark(&scene)?,
         ];

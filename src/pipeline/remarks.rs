@@ -56,6 +56,17 @@ pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Opt
     })
 }
 
+/// Remark on segments that the scene has without light: their error bars are those of nothing.
+pub(super) fn dark_segments_remark(scene: &Scene) -> Option<String> {
+    let dark = &scene.pupil.dark_segments;
+    (!dark.is_empty()).then(|| {
+        format!(
+            "No image shows the segments without light (pupil.dark_segments = {dark:?}): 0 stands for their modes, whose error bars in the \
+             tables say nothing."
+        )
+    })
+}
+
 /// Remark on the orientation of the images: where pupil and diversity equal their mirror images a
 /// flipped image is that of the flipped wavefront. The image of A·exp(−i(W + d)), with the opposite
 /// wavefront and diversity, is the turned one of A·exp(i(W + d)) for any pupil A.

@@ -2,7 +2,7 @@
 
 use super::explain::is_mean_misfit;
 use super::image_changes::CHANGING;
-use super::images::counted;
+use super::images::{counted, in_ranges};
 use super::outcome::ImageOutcome;
 use super::sequence::SequenceResult;
 use crate::modal::{
@@ -38,8 +38,6 @@ pub(super) fn integers_warning(integers: &[PistonInteger]) -> Option<String> {
     ))
 }
 
-/// Ranges of images that are named in a warning.
-const NAMED_RUNS: usize = 8;
 /// Images named one by one in a warning; the others are counted.
 const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
@@ -298,22 +296,8 @@ fn agreement_warning(found: &modal::ModalEstimate) -> Option<String> {
 
 /// Images by their numbers from 1, consecutive ones as a range: `images 1 to 4 and 7 of 20`.
 fn images_named(images: &[usize], count: usize) -> String {
-    let mut runs: Vec<[usize; 2]> = Vec::new();
-    for &image in images {
-        match runs.last_mut() {
-            Some([_, last]) if *last + 1 == image => *last = image,
-            _ => runs.push([image, image]),
-        }
-    }
-    let named = runs.iter().take(NAMED_RUNS).map(|[first, last]| match last - first {
-        0 => format!("{}", first + 1),
-        1 => format!("{}, {}", first + 1, last + 1),
-        _ => format!("{} to {}", first + 1, last + 1),
-    });
-    let named = named.collect::<Vec<_>>().join(", ");
-    let more = if runs.len() > NAMED_RUNS { ", ..." } else { "" };
     let noun = if images.len() == 1 { "image" } else { "images" };
-    format!("{noun} {named}{more} of {count}")
+    format!("{noun} {} of {count}", in_ranges(images, 1))
 }
 
 /// Warning on an error of the model that only the mean of the images shows.

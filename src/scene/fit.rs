@@ -106,9 +106,10 @@ section! {
         /// together.
         fit_optics: Vec<Optic>, ANY, default([]);
         /// Model: "auto" adds tip and tilt of each segment, Zernikes to Noll 91 or 210,
-        /// reflectivities, a spider or a central obscuration where the scene does not explain the
-        /// images and one of these does, and with "full-phase" tip and tilt of each segment where
-        /// the mean wavefront shows them; "scene" adds nothing, nor do sessions.
+        /// reflectivities, a spider, a central obscuration, segments without light or a stop where
+        /// the scene does not explain the images and one of these does, and with "full-phase" tip
+        /// and tilt of each segment where the mean wavefront shows them; "scene" adds nothing, nor
+        /// do sessions.
         model: ModelChoice, ANY, default(ModelChoice::Auto);
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the recipes of Lamb et al.");

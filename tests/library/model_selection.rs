@@ -113,6 +113,8 @@ fn light_that_the_pupil_lacks_is_found() {
     let dark = estimate(&[("pupil.dark_segments", "[4]")], &[("pupil.dark_segments", "[]")], Policy::default());
     assert!(dark.model.contains("pupil.dark_segments = [4]"), "{} {:?}", dark.model, dark.warnings);
     assert!(dark.is_sound() && dark.scene.pupil.dark_segments == [4], "{:?} {:?}", dark.status, dark.warnings);
+    // The error bars of these modes are of nothing.
+    assert!(dark.remarks.iter().any(|remark| remark.starts_with("No image shows the segments without light")));
     let stop = [("pupil.stop_diameter_m", "4.2"), ("pupil.stop_x_m", "0.1")];
     let none = [("pupil.stop_diameter_m", "0"), ("pupil.stop_x_m", "0")];
     let stopped = estimate(&stop, &none, Policy::default());
