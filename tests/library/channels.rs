@@ -91,6 +91,7 @@ fn defocus_amplitude_is_determined_by_a_pair_not_by_one_image() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn a_channel_that_is_flipped_contradicts_the_other() {
     let scene = with_channels(PAIR, &[]);
     let mut images = Images::simulated_channels(&scene).unwrap();

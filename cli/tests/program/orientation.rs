@@ -228,6 +228,7 @@ fn segments_are_addressed_by_their_labels() {
 }
 
 #[test]
+#[ignore = "merge: 14 s"]
 fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
     let desk = Desk::with_scene();
     // An actuator off the axes of the pupil, which are 30 degrees apart.
