@@ -4,8 +4,8 @@
 //! An estimate and a reduction read this one list, so that no reduction makes images of frames that
 //! an estimate then refuses.
 
-pub(crate) mod odd_pixels;
 pub(crate) mod padded_counts;
+pub(crate) mod wrapped;
 
 use crate::io::{HeaderFact, Quantity};
 use crate::scene::{Method, Scene};

@@ -72,6 +72,7 @@ pub use model::recipe::Recipe;
 pub use pointing::Pointing;
 pub(crate) use prepare::calibration::{Calibration, CameraMaps};
 pub use prepare::cube::Cube;
+pub(crate) use prepare::dead::DeadPixels;
 pub use prepare::rejected::RejectedPixels;
 pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
 pub(crate) use prepare::{check_frame_shape, cut_out_hint};

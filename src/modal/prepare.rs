@@ -3,6 +3,7 @@
 
 pub(in crate::modal) mod calibration;
 pub(in crate::modal) mod cube;
+pub(in crate::modal) mod dead;
 mod extent;
 pub(in crate::modal) mod outliers;
 mod reduction;
@@ -19,6 +20,7 @@ use crate::modal::model::recipe::Recipe;
 use crate::modal::prepare::rejected::{Rejected, RejectedPixels};
 use crate::scene::Weighting;
 use crate::{Error, Result};
+use dead::DeadPixels;
 use extent::{Extent, extents_of_clean_rows};
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use reduction::Decimation;
@@ -192,6 +194,8 @@ pub(super) struct Preparer {
     /// Extents of each row of the frame, and then of each row at the model's sampling.
     extents: Vec<Extent>,
     statistics: Statistics,
+    /// `None` while a frame is prepared.
+    dead: Option<DeadPixels>,
     spikes: Spikes,
     reduction: Option<Decimation>,
 }
@@ -229,6 +233,7 @@ impl Preparer {
             bad: Array2::from_elem(shape, false),
             extents: vec![Extent::EMPTY; shape.0.max(plan.reduced[1])],
             statistics: Statistics::with_capacity(shape.0 * shape.1),
+            dead: Some(DeadPixels::new(shape)),
             spikes: Spikes::new(),
             reduction: (plan.reduced != plan.frame).then(|| Decimation::new(plan.frame, plan.reduced)),
         }
@@ -242,6 +247,24 @@ impl Preparer {
     /// # Panics
     /// Where the frame has another shape than the plan.
     pub(super) fn prepare(
+        &mut self,
+        frame: Frame,
+        recipe: &Recipe,
+        ringing: Ringing,
+        prepared: &mut PreparedFrame,
+    ) -> std::result::Result<(), Refusal> {
+        let mut dead = self.dead.take();
+        let Frame { data_e, bad, read_noise_e } = frame;
+        let has_dead = recipe.reject_outliers && dead.as_mut().is_some_and(|dead| dead.find(data_e, bad));
+        let bad = dead.as_ref().filter(|_| has_dead).map_or(bad.view(), DeadPixels::bad);
+        let good = Frame { data_e: data_e.view(), bad, read_noise_e };
+        let outcome = self.prepare_good(good, recipe, ringing, prepared);
+        self.dead = dead;
+        outcome
+    }
+
+    /// As [`Preparer::prepare`], of a frame whose dead lines and blocks are marked.
+    fn prepare_good(
         &mut self,
         frame: Frame,
         recipe: &Recipe,

@@ -3,11 +3,11 @@
 //!
 //! A contradiction is an error, unless [`Images::trust`] says which of the two holds.
 
-use super::images::{Images, Trust, in_ranges};
+use super::images::{Images, Trust, counted, in_ranges};
 use super::instrument;
-use crate::agreement::{Compared, Disagreement, GAIN, odd_pixels, padded_counts};
+use crate::agreement::{Compared, Disagreement, GAIN, padded_counts, wrapped};
 use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
-use crate::modal::Cube;
+use crate::modal::{Cube, DeadPixels};
 use crate::scene::{Scene, Setting};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
@@ -106,11 +106,11 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
         Some(gain) => Cow::Owned(&images.images_e * gain),
         None => Cow::Borrowed(&images.images_e),
     };
-    if let Some(reason) = odd_pixels::wrapped(images.images_e.view()) {
+    if let Some(reason) = wrapped::wrapped(images.images_e.view()) {
         return Err(Error::Image(reason));
     }
-    let (bad, dead) = odd_pixels::without_dead_lines(images.images_e.view(), &images.bad);
-    comparison.remarks.extend(dead_lines_remark(dead));
+    let (bad, remark) = without_dead_pixels(images);
+    comparison.remarks.extend(remark);
     let electrons = Electrons {
         images_e,
         bad,
@@ -122,15 +122,35 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
     Ok(Consistent { images: electrons, scene, is_changed, remarks, contradictions })
 }
 
-/// Remark on columns and rows that were masked; `None` where there are none.
-fn dead_lines_remark(dead: [BTreeSet<usize>; 2]) -> Option<String> {
-    let named = dead.into_iter().zip(["column", "row"]).filter(|(lines, _)| !lines.is_empty()).map(|(lines, noun)| {
-        let lines: Vec<usize> = lines.into_iter().collect();
-        format!("{noun}{} {}", if lines.len() == 1 { "" } else { "s" }, in_ranges(&lines, 0))
-    });
-    let named = named.collect::<Vec<_>>().join(" and ");
-    (!named.is_empty())
-        .then(|| format!("All pixels of {named} have one value, as of dead or stuck ones: they were masked."))
+/// Blocks of dead pixels that are named.
+const NAMED_BLOCKS: usize = 3;
+
+/// The bad pixels `[image, y, x]`, with columns, rows and blocks that have one value, and a remark
+/// on these, of which those of any image are named.
+fn without_dead_pixels(images: &Images) -> (Cow<'_, Array3<bool>>, Option<String>) {
+    let (_, rows, columns) = images.images_e.dim();
+    let (mut dead, mut marked) = (DeadPixels::new((rows, columns)), Cow::Borrowed(&images.bad));
+    let (mut lines, mut blocks) = ([BTreeSet::new(), BTreeSet::new()], BTreeSet::new());
+    for (number, image) in images.images_e.outer_iter().enumerate() {
+        if dead.find(image, images.bad.index_axis(Axis(0), number)) {
+            marked.to_mut().index_axis_mut(Axis(0), number).assign(&dead.bad());
+            lines.iter_mut().zip(dead.lines()).for_each(|(all, found)| all.extend(found));
+            blocks.extend(dead.blocks());
+        }
+    }
+    let mut named = Vec::new();
+    for (lines, noun) in lines.iter().zip(["column", "row"]).filter(|(lines, _)| !lines.is_empty()) {
+        let lines: Vec<usize> = lines.iter().copied().collect();
+        named.push(format!("{noun}{} {}", if lines.len() == 1 { "" } else { "s" }, in_ranges(&lines, 0)));
+    }
+    let block =
+        |[x, y, columns, rows]: &[usize; 4]| format!("a block of {columns} × {rows} from column {x}, row {y} on");
+    named.extend(blocks.iter().take(NAMED_BLOCKS).map(block));
+    let more = blocks.len().saturating_sub(NAMED_BLOCKS);
+    named.extend((more > 0).then(|| counted(more, "further block")));
+    let remark =
+        format!("All pixels of {} have one value, as of dead or stuck ones: they were masked.", named.join(" and of "));
+    (marked, (!named.is_empty()).then_some(remark))
 }
 
 struct Comparison<'a> {

@@ -6,7 +6,7 @@ use cophase::Status;
 use cophase::io::{Card, ELECTRON, FitsWriter, Pixel, Quantity};
 use cophase::pipeline::{Estimate, Estimator, Images, Trust};
 use cophase::scene::Scene;
-use ndarray::Array3;
+use ndarray::{Array3, s};
 
 /// Seven hexagons and eleven Zernikes, 132 pixels, with these settings.
 pub fn scene(settings: &[(&str, &str)]) -> Scene {
@@ -69,6 +69,24 @@ fn arrays_of_counts_are_converted_with_the_gain_of_the_scene() {
     let unaware = estimate(&plain, &counts);
     assert_eq!(unaware.status, Status::Misfit);
     assert!(unaware.warnings[0].contains("the noise is smaller than the stated"), "{:?}", unaware.warnings);
+}
+
+#[test]
+fn dead_columns_and_blocks_are_masked_and_named() {
+    let plain = scene(&[]);
+    let mut made = Images::simulated(&plain).unwrap();
+    // Through the star.
+    made.images_e.slice_mut(s![.., .., 40..43]).fill(12.5);
+    made.images_e.slice_mut(s![.., 50..56, 52..58]).fill(0.0);
+    let found = shown(estimate(&plain, &made));
+    let named = "All pixels of columns 40 to 42 and of a block of 6 × 6 from column 52, row 50 on have one value";
+    assert!(found.remarks.iter().any(|remark| remark.starts_with(named)), "{:?}", found.remarks);
+    assert!(found.is_sound(), "{:?}", found.warnings);
+    // Of the 64 rows that are fitted.
+    assert_eq!(found.images[0].report.bad_pixels, 3 * 64 + 36);
+    let residual_nm = found.truth.as_ref().unwrap().1.rms_nm;
+    let sigma_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
+    assert!(residual_nm.iter().zip(sigma_nm).all(|(residual_nm, sigma_nm)| *residual_nm < 2.0 * sigma_nm));
 }
 
 #[test]

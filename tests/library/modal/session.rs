@@ -10,7 +10,7 @@ use cophase::modal::{
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3, Axis, s};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -80,6 +80,30 @@ fn session_has_the_bits_of_the_estimator_at_any_thread_count() {
             }
         }
     }
+}
+
+#[test]
+fn dead_lines_and_blocks_are_masked() {
+    // Not reduced: a session refuses bad pixels of frames that are.
+    let scene = scene(&[("image.samples_per_lambda_over_d", "2"), ("image.pixels", "88")]);
+    let estimator = estimator(&scene);
+    let mut session = session(&estimator, SessionOptions::default());
+    let mut images_e = source::simulate(&scene).unwrap().images_e;
+    // Rows and columns.
+    let dead = [s![0..88, 20..23], s![30..34, 31..35]];
+    for mut image_e in images_e.outer_iter_mut() {
+        dead.iter().for_each(|part| image_e.slice_mut(*part).fill(12.5));
+    }
+    let mut bits_when = |is_marked: bool| {
+        fill(&mut session, &images_e);
+        let (_, mut bad) = session.frame_mut(0, 0).unwrap();
+        dead.iter().for_each(|part| bad.slice_mut(*part).fill(is_marked));
+        session.fit(1, &FitOptions::default()).unwrap();
+        let found = &fitted(&session)[0];
+        (found.report.bad_pixels, found.coefficients_nm.iter().map(|nm| nm.to_bits()).collect::<Vec<_>>())
+    };
+    let (found, marked) = (bits_when(false), bits_when(true));
+    assert!(found == marked && found.0 > 16, "{}, {}", found.0, marked.0);
 }
 
 #[test]
