@@ -7,6 +7,7 @@ use crate::Result;
 use crate::scene::{NcpaBasis, NollRange, Scene};
 use crate::telescope::Telescope;
 use rayon::prelude::*;
+use std::f64::consts::TAU;
 
 /// Most segments of a mirror of which each is tried: a fit of the coarse model takes a tenth of a
 /// second.
@@ -18,8 +19,12 @@ const MOST_LEFT: f64 = 0.8;
 /// Samples of the coarse model along a side, and its Zernikes, to radial order 5.
 const SAMPLES: usize = 64;
 const ZERNIKES: usize = 20;
-/// Diameters of a stop that are tried, relative to the pupil's width. A fit reaches those between.
+/// Diameters of a stop that are tried, relative to the pupil's width: about the axis, and off it by
+/// this much in each of some directions. A fit reaches those between.
 const STOPS: [f64; 4] = [0.96, 0.92, 0.87, 0.82];
+const STOPS_OFF_AXIS: [f64; 3] = [0.96, 0.92, 0.87];
+const OFFSET: f64 = 0.025;
+const DIRECTIONS: usize = 8;
 
 /// Segments that are tried beside those that were found: those that alone lowered χ² most.
 const CANDIDATES: usize = 8;
@@ -29,8 +34,8 @@ const CANDIDATES: usize = 8;
 pub(super) enum LostLight {
     /// These segments.
     Dark(Vec<i64>),
-    /// What is beyond about this diameter, m.
-    Stop(f64),
+    /// What is beyond a circle of about this diameter, centre x and y, m.
+    Stop([f64; 3]),
 }
 
 /// What lowers the χ² of an image most: segments without light, or a stop; `None` where neither
@@ -52,10 +57,11 @@ pub(super) fn find(
         sections.estimate.samples = Some(SAMPLES);
         sections.leave_out_posterior();
     })?;
-    let chi2 = |dark: &[i64], stop_diameter_m: f64| -> Result<f64> {
+    let chi2 = |dark: &[i64], stop_m: [f64; 3]| -> Result<f64> {
         let changed = coarse.changed(|sections| {
-            sections.pupil.dark_segments = dark.to_vec();
-            sections.pupil.stop_diameter_m = stop_diameter_m;
+            let pupil = &mut sections.pupil;
+            pupil.dark_segments = dark.to_vec();
+            [pupil.stop_diameter_m, pupil.stop_x_m, pupil.stop_y_m] = stop_m;
         });
         // Such as a stop that hides a segment.
         let Ok(changed) = changed else { return Ok(f64::INFINITY) };
@@ -67,14 +73,16 @@ pub(super) fn find(
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(found)
     };
-    let own = chi2(&[], 0.0)?;
-    let of_stop = |number: usize| Ok((chi2(&[], STOPS[number] * width_m)?, number));
-    let stop = ranked((0..STOPS.len()).into_par_iter().map(of_stop).collect())?.first().copied();
+    let no_stop = [0.0; 3];
+    let own = chi2(&[], no_stop)?;
+    let stops_m = stops_m(width_m);
+    let of_stop = |number: usize| Ok((chi2(&[], stops_m[number])?, number));
+    let stop = ranked((0..stops_m.len()).into_par_iter().map(of_stop).collect())?.first().copied();
     let segments = Telescope::new(scene)?.pupil.segments.len();
     let mut candidates: Vec<usize> = if segments <= MOST_TRIED { (0..segments).collect() } else { Vec::new() };
     let (mut dark, mut least) = (Vec::new(), own);
     while dark.len() < MOST_DARK && !candidates.is_empty() {
-        let beside = |&number: &usize| Ok((chi2(&[&dark[..], &[number as i64]].concat(), 0.0)?, number));
+        let beside = |&number: &usize| Ok((chi2(&[&dark[..], &[number as i64]].concat(), no_stop)?, number));
         let found = ranked(candidates.par_iter().map(beside).collect())?;
         let [(chi2, number), ..] = found[..] else { break };
         if chi2 > MOST_LEFT * least {
@@ -86,8 +94,18 @@ pub(super) fn find(
     }
     dark.sort_unstable();
     Ok(match stop {
-        Some((chi2, number)) if chi2 < (MOST_LEFT * own).min(least) => Some(LostLight::Stop(STOPS[number] * width_m)),
+        Some((chi2, number)) if chi2 < (MOST_LEFT * own).min(least) => Some(LostLight::Stop(stops_m[number])),
         _ if !dark.is_empty() => Some(LostLight::Dark(dark)),
         _ => None,
     })
+}
+
+/// Diameter and centre of the stops that are tried for a pupil of this width, m.
+fn stops_m(width_m: f64) -> Vec<[f64; 3]> {
+    let directions = (0..DIRECTIONS).map(|number| TAU * number as f64 / DIRECTIONS as f64);
+    let places = directions.map(|angle| [OFFSET * angle.cos(), OFFSET * angle.sin()]);
+    let stops = STOPS.map(|diameter| [diameter, 0.0, 0.0]).into_iter();
+    let off_axis = places.flat_map(|[x, y]| STOPS_OFF_AXIS.map(|diameter| [diameter, x, y]));
+    let stops = stops.chain(off_axis);
+    stops.map(|stop| stop.map(|part| part * width_m)).collect()
 }

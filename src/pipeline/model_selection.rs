@@ -87,8 +87,9 @@ impl Extension {
                 sections.estimate.fit_optics = vec![optic];
             }
             Self::LostLight(LostLight::Dark(ref segments)) => sections.pupil.dark_segments.clone_from(segments),
-            Self::LostLight(LostLight::Stop(diameter_m)) => {
-                sections.pupil.stop_diameter_m = diameter_m;
+            Self::LostLight(LostLight::Stop(stop_m)) => {
+                let pupil = &mut sections.pupil;
+                [pupil.stop_diameter_m, pupil.stop_x_m, pupil.stop_y_m] = stop_m;
                 sections.estimate.fit_optics = vec![Optic::STOP];
             }
         }
