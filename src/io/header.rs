@@ -246,18 +246,32 @@ fn last_digit(digits: &str) -> f64 {
     10f64.powi(exponent.parse().unwrap_or(0) - decimals)
 }
 
-/// Pixel scale of celestial coordinates: `CDELT1` (degrees) where `CTYPE1` names an axis of the
-/// sky. Files without coordinates have CDELT1 = 1.
+/// Pixel scale of celestial coordinates: `CDELT1` (degrees), or the length of the first column of
+/// the matrix `CD`, where `CTYPE1` names an axis of the sky. Files without coordinates have
+/// CDELT1 = 1.
 fn coordinates(file: &mut FitsReader, index: usize) -> Result<Option<HeaderFact>> {
     let is_sky = |card: Card| card.text().is_some_and(|text| ["RA--", "DEC-"].iter().any(|sky| text.starts_with(sky)));
     if !file.card_at(index, "CTYPE1")?.is_some_and(is_sky) {
         return Ok(None);
     }
-    let Some((card, written, _)) = card(file, index, "CDELT1")? else { return Ok(None) };
-    let degrees = card.number().map(f64::abs).filter(|degrees| *degrees > 0.0 && *degrees < 1e-3);
+    let mut along_x: [Option<(Card, String, String)>; 2] = [card(file, index, "CD1_1")?, card(file, index, "CD2_1")?];
+    let number = |card: &Option<(Card, String, String)>| card.as_ref().and_then(|(card, ..)| card.number());
+    let (keyword, degrees, written) = match [number(&along_x[0]), number(&along_x[1])] {
+        // A matrix without a card for 0 is that of axes along the sky's.
+        [None, None] => {
+            let Some((card, written, _)) = card(file, index, "CDELT1")? else { return Ok(None) };
+            ("CDELT1", card.number(), written)
+        }
+        [along, across] => {
+            let of = along_x.iter_mut().find_map(Option::take);
+            let degrees = along.unwrap_or(0.0).hypot(across.unwrap_or(0.0));
+            ("CD1_1", Some(degrees), of.map(|(_, written, _)| written).unwrap_or_default())
+        }
+    };
+    let degrees = degrees.map(f64::abs).filter(|degrees| *degrees > 0.0 && *degrees < 1e-3);
     Ok(degrees.map(|degrees| HeaderFact {
         quantity: Quantity::PixelMas,
-        keyword: "CDELT1",
+        keyword,
         written,
         values: vec![degrees * 3.6e6],
         tolerance: COORDINATES_TOLERANCE,

@@ -1,6 +1,7 @@
 //! A detector that is read by several amplifiers, an image HDU each: the cards `DETSEC` (the part
-//! of the detector, unbinned pixels) and `DATASEC` (the illuminated part of the HDU) put them
-//! together, `BIASSEC` (overscan) gives the bias of each.
+//! of the detector, unbinned pixels; `CCDSEC`, that of one chip, where there is none) and `DATASEC`
+//! (the illuminated part of the HDU) put them together, `BIASSEC` (overscan) gives the bias of
+//! each.
 
 use super::header;
 use super::layout::HduKind;
@@ -123,8 +124,10 @@ pub(super) fn assembled(file: &mut FitsReader) -> Result<Option<Mosaic>> {
         names.push(file.described(part.index));
     }
     let bias = if has_bias { ", less the median of its overscan (BIASSEC)" } else { "" };
-    let remark =
-        format!("The image was put together from {} by their cards DETSEC and DATASEC{bias}.", names.join(", "));
+    let remark = format!(
+        "The image was put together from {} by their cards DETSEC (or CCDSEC) and DATASEC{bias}.",
+        names.join(", ")
+    );
     Ok(Some(Mosaic { index: parts[0].index, data: data.insert_axis(Axis(0)), remark }))
 }
 
@@ -149,7 +152,7 @@ fn part(file: &FitsReader, index: usize) -> Option<Part> {
     let fits = |section: &[Range; 2]| (0..2).all(|axis| section[axis].to <= whole[axis].to);
     let binning: Vec<usize> =
         text("CCDSUM").map(|text| text.split_whitespace().filter_map(|n| n.parse().ok()).collect()).unwrap_or_default();
-    let mut detector = section(&text("DETSEC")?)?;
+    let mut detector = section(&text("DETSEC").or_else(|| text("CCDSEC"))?)?;
     for (axis, range) in detector.iter_mut().enumerate() {
         let bin = binning.get(axis).copied().unwrap_or(1).max(1);
         (range.from, range.to) = (range.from / bin, range.from / bin + range.len() / bin);

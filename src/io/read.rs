@@ -168,6 +168,13 @@ impl FitsReader {
         self.card_at(index, key)
     }
 
+    /// The comment of the card `key` of the HDU `hdu` (any extension), or of the primary HDU; empty
+    /// where there is none.
+    pub(crate) fn comment(&mut self, hdu: Option<&str>, key: &str) -> Result<String> {
+        let index = hdu.map_or(Ok(0), |name| self.find_any(name))?;
+        Ok(self.written_at(index, key).1)
+    }
+
     /// The card `key` of the image that [`map`](Self::map) reads without a name, else of the
     /// primary HDU.
     ///

@@ -86,9 +86,24 @@ impl TextTable {
 
     /// The unit of lengths that ends the name of a column, nm; `None` where it names none.
     pub fn unit_nm(&self, column: usize) -> Option<f64> {
-        let name = self.names.get(column)?;
-        let last = name.split(|c: char| !c.is_alphanumeric()).rfind(|word| !word.is_empty())?;
+        let last = self.unit(column)?;
         LENGTHS.iter().find(|(names, _)| names.contains(&last)).map(|(_, nm)| *nm)
+    }
+
+    /// As [`TextTable::unit_nm`], also where the name ends with the unit of a phase of light of
+    /// `wavelength_nm`.
+    pub fn wavefront_unit_nm(&self, column: usize, wavelength_nm: f64) -> Option<f64> {
+        let of_phase = || match self.unit(column)? {
+            "rad" | "radian" | "radians" => Some(wavelength_nm / std::f64::consts::TAU),
+            "wave" | "waves" => Some(wavelength_nm),
+            _ => None,
+        };
+        self.unit_nm(column).or_else(of_phase)
+    }
+
+    /// The last word of the name of a column.
+    fn unit(&self, column: usize) -> Option<&str> {
+        self.names.get(column)?.split(|c: char| !c.is_alphanumeric()).rfind(|word| !word.is_empty())
     }
 }
 

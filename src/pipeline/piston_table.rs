@@ -10,15 +10,16 @@ use std::path::Path;
 /// file has them in the column `PISTON_NM` of a table `SEGMENTS`, beside a column `LABEL` or
 /// `SEGMENT`, as an estimate has; without either, in the order of the segments. Segments are
 /// addressed by their labels ([`SegmentPlace::label`]) or, all of them, by their numbers.
+/// `wavelength_nm` is that of phases, in radians or waves.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, and for one that does not have each segment
 /// once.
-pub fn read_pistons(path: &Path, places: &[SegmentPlace]) -> Result<Vec<f64>> {
+pub fn read_pistons(path: &Path, places: &[SegmentPlace], wavelength_nm: f64) -> Result<Vec<f64>> {
     let is_text =
         path.extension().is_some_and(|word| ["txt", "csv", "dat"].iter().any(|text| word.eq_ignore_ascii_case(text)));
     let rows = if is_text {
-        parse(&read_text(path, "it holds the true pistons")?)
+        parse(&read_text(path, "it holds the true pistons")?, wavelength_nm)
     } else {
         let mut file = FitsReader::open(path)?;
         let pistons_nm = file.f64_column("SEGMENTS", "PISTON_NM")?;
@@ -34,12 +35,13 @@ pub fn read_pistons(path: &Path, places: &[SegmentPlace]) -> Result<Vec<f64>> {
 }
 
 /// Segments and pistons of a text table, or why it is not accepted. Pistons are in the unit that
-/// the name of their column ends with, else in nm.
-fn parse(text: &str) -> std::result::Result<Vec<(String, f64)>, String> {
+/// the name of their column ends with, radians and waves being those of `wavelength_nm`; else in
+/// nm.
+fn parse(text: &str, wavelength_nm: f64) -> std::result::Result<Vec<(String, f64)>, String> {
     let table = TextTable::new(text);
     let named = table.column(&["label", "segment"]).zip(table.column(&["piston"]));
     let (of_segment, of_piston) = named.unwrap_or((0, 1));
-    let unit_nm = table.unit_nm(of_piston);
+    let unit_nm = table.wavefront_unit_nm(of_piston, wavelength_nm);
     let rows = table.rows.iter().map(|row| {
         let word = row.words.get(of_segment).filter(|_| named.is_some() || row.words.len() == 2);
         let word = word.ok_or_else(|| row.at("a segment's number or label and its piston in nm are needed"))?;
@@ -101,7 +103,7 @@ mod tests {
 
     #[test]
     fn segments_are_addressed_by_number_or_by_label() {
-        let read = |text: &str, labels: &[&str]| ordered(&parse(text)?, &places(labels));
+        let read = |text: &str, labels: &[&str]| ordered(&parse(text, 2000.0)?, &places(labels));
         assert_eq!(read("# nm\n1, -3.5\n0 2\n", &["0", "1"]).unwrap(), [2.0, -3.5]);
         // Labels from 1, and with a gap.
         assert_eq!(read("1 2\n2 -3.5\n", &["1", "2"]).unwrap(), [2.0, -3.5]);
@@ -109,6 +111,9 @@ mod tests {
         assert_eq!(read("0 4\n1 5\n", &["2", "9"]).unwrap(), [4.0, 5.0]);
         // As pandas writes the table of an estimate, and as NumPy writes numbers.
         assert_eq!(read(",RING,LABEL,PISTON_UM\n0,1,2,0.5\n1,1,9,-0.25\n", &["2", "9"]).unwrap(), [500.0, -250.0]);
+        assert_eq!(read("segment,piston_waves\n0,0.25\n1,-0.5\n", &["0", "1"]).unwrap(), [500.0, -1000.0]);
+        let of_phase = read("segment piston_rad\n0 3.14159265\n1 0\n", &["0", "1"]).unwrap();
+        assert!((of_phase[0] - 1000.0).abs() < 1e-5, "{of_phase:?}");
         assert_eq!(read("0.0e+00 4.0e+00\n1.0e+00 5.0D0\n", &["0", "1"]).unwrap(), [4.0, 5.0]);
         assert_eq!(read("B2 4\nA1 5\n", &["A1", "B2"]).unwrap(), [5.0, 4.0]);
         for (text, labels, expected) in [

@@ -13,13 +13,21 @@ use std::path::Path;
 
 /// Telescopes that a preset describes: what their name begins with, the preset, what the preset
 /// leaves out.
-const TELESCOPES: [(&[&str], &str, &str); 2] = [
+const TELESCOPES: [(&[&str], &str, &str); 6] = [
     (
         &["KECK", "W. M. KECK"],
         "keck-nirc2",
         "of a source on the bench neither the secondary nor its spider hides a part: 0 for both then",
     ),
     (&["JWST"], "jwst-pair", ""),
+    (
+        &["GTC", "GRANTECAN", "GRAN TELESCOPIO"],
+        "gtc-artificial",
+        "the vanes of the secondary mirror, which lie over gaps",
+    ),
+    (&["TMT", "THIRTY METER"], "tmt-onsky", ""),
+    (&["ELT", "ESO-ELT", "E-ELT"], "elt-onsky", ""),
+    (&["GMT", "GIANT MAGELLAN"], "gmt", ""),
 ];
 
 /// Pixels of cameras whose headers do not have them: name of the instrument, of the camera, mas.

@@ -171,6 +171,12 @@ impl Cards<'_> {
         own.or_else(|| self.file.card(None, key).ok().flatten())
     }
 
+    /// Comment of a card; empty without.
+    fn comment(&mut self, key: &str) -> String {
+        let own = self.file.comment(Some(&self.hdu), key).ok().filter(|comment| !comment.is_empty());
+        own.or_else(|| self.file.comment(None, key).ok()).unwrap_or_default()
+    }
+
     /// Text of a card without quotes.
     pub(super) fn text(&mut self, key: &str) -> Option<String> {
         let card = self.card(key)?;
@@ -183,11 +189,14 @@ impl Cards<'_> {
         card.number().or_else(|| card.text()?.trim().parse().ok()).filter(|number: &f64| number.is_finite())
     }
 
-    /// Angle in a card: degrees, also as a text with its unit (`40.0 deg`, `0.698 rad`) or of
-    /// degrees, minutes and seconds (`39:30:00`).
+    /// Angle in a card: degrees, or radians by its comment; also as a text with its unit (`40.0
+    /// deg`, `0.698 rad`) or of degrees, minutes and seconds (`39:30:00`).
     fn angle_deg(&mut self, key: &str) -> Option<f64> {
         if let Some(number) = self.number(key) {
-            return Some(number);
+            let comment = self.comment(key).to_ascii_lowercase();
+            let mut words = comment.split(|c: char| !c.is_ascii_alphabetic());
+            let is_radians = words.any(|word| ["rad", "radian", "radians"].contains(&word));
+            return Some(if is_radians { number.to_degrees() } else { number });
         }
         let text = self.text(key)?;
         let plain = |text: &str| text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
@@ -251,5 +260,32 @@ impl Cards<'_> {
             pupil_angle_deg,
             angles_deg,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::{FitsWriter, Pixel};
+
+    #[test]
+    fn angles_are_in_the_unit_that_is_stated() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("frame.fits");
+        let mut file = FitsWriter::create(&path).unwrap();
+        file.image("SCI", &Array2::<f64>::zeros((4, 4)), Pixel::F64, "").unwrap();
+        for (key, value, comment) in [
+            ("PARANG", Card::Real(0.5), "[rad] parallactic angle"),
+            ("ROTPOSN", Card::Real(0.5), "position of the rotator"),
+            ("ROTANGLE", "0.5 rad".into(), ""),
+            ("PARANTEL", "-0:30:00".into(), ""),
+        ] {
+            file.card("SCI", key, value, comment).unwrap();
+        }
+        file.finish().unwrap();
+        let mut cards = Cards { file: &mut FitsReader::open(&path).unwrap(), hdu: "SCI".into() };
+        let angles_deg = ["PARANG", "ROTPOSN", "ROTANGLE", "PARANTEL", "ANGLE"].map(|key| cards.angle_deg(key));
+        let rad = 0.5_f64.to_degrees();
+        assert_eq!(angles_deg, [Some(rad), Some(0.5), Some(rad), Some(-0.5), None]);
     }
 }

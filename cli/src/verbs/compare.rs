@@ -104,8 +104,9 @@ impl Arguments {
     fn foreign(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<ForeignTruth>> {
         let map = |path: &Option<PathBuf>| path.as_ref().map(|path| OpdMap::read(path)).transpose();
         let places = SegmentPlace::all(scene, &telescope.pupil.segments);
+        let pistons_nm = |path: &PathBuf| read_pistons(path, &places, scene.image.wavelength_nm);
         let truth = ForeignTruth {
-            pistons_nm: self.truth_pistons.as_ref().map(|path| read_pistons(path, &places)).transpose()?,
+            pistons_nm: self.truth_pistons.as_ref().map(pistons_nm).transpose()?,
             phasing: map(&self.truth_phasing)?,
             ncpa: map(&self.truth_ncpa)?,
             wavefront: map(&self.truth_opd)?,

@@ -121,6 +121,10 @@ fn a_file_that_contradicts_the_scene_is_refused() {
     agree("CDELT1", 1.0.into());
     agree("FILTER", "K' + clear".into());
     agree("FILTER", "Br_gamma".into());
+    // World coordinates that are turned by 45°, of pixels of 48 mas, which are known to 2 %.
+    let turned = [("CTYPE1", "RA---TAN".into()), ("CD1_1", 9.4281e-6.into()), ("CD2_1", 9.4281e-6.into())];
+    desk.write_images("other.fits", 1.0, "electron", &turned);
+    desk.refuses_estimate("other.fits", &[], &["card CD1_1", "image.samples_per_lambda_over_d = 2", "--trust"]);
     let contradicts = |card: (&str, Card), words: &[&str]| {
         desk.write_images("other.fits", 1.0, "electron", &[card]);
         desk.refuses_estimate("other.fits", &[], &[words, &["other.fits", "--trust"]].concat());

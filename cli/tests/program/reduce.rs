@@ -426,6 +426,12 @@ fn a_first_scene_is_made_of_a_header() {
         "64",
         "--no-dither-sky",
     ]);
+    // Other telescopes have presets of their own.
+    for (telescope, line) in [("GTC", "segment_side_m = 0.936"), ("TMT", ""), ("ESO-ELT", ""), ("GMT", "")] {
+        write(&desk, "t.fits", &star(&image, (100, 100), &mut Noise(7)), &[("TELESCOP", telescope.into())]);
+        let text = desk.succeeds(&["scene", "--from", "t.fits"]).out;
+        assert!(text.contains(line) && !text.contains("is not known"), "{telescope}: {text}");
+    }
     // Nothing is known of a bare file, and a scene all the same.
     let bare = desk.succeeds(&["scene", "--from", "images.fits"]).out;
     assert!(bare.contains("TELESCOP = ''"), "{bare}");

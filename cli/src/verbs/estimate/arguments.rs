@@ -32,7 +32,7 @@ Units: electrons, or counts (card BUNIT 'adu', 'DN', 'count'), which are convert
 --gain, image.gain_e_per_adu of the scene, or the card EGAIN or GAIN. Counts without a gain are refused.
 
 Cards: the file must not contradict the scene. Wavelength (WAVELEN, WAVELENG, CENWAVE, EFFWAVE, ...), broad band (FILTER = 'J', \
-'H', 'Kp + clear', ...), pixel scale (PIXSCALE, PIXELSCL, SECPIX, CDELT1 of the sky), read noise (RON_E, RON, RDNOISE, \
+'H', 'Kp + clear', ...), pixel scale (PIXSCALE, PIXELSCL, SECPIX, CDELT1 or CD1_1 of the sky), read noise (RON_E, RON, RDNOISE, \
 READNOIS), gain, exposure (EXPTIME, ITIME, ...; where the scene names it) and the scene in a file of cophase are compared \
 with the keys; --trust scene or --trust file decides, and a key of --set or --gain takes precedence over the file. Where the \
 scene has no read noise, the card's is used, else the scatter of the image's border.
