@@ -1,7 +1,7 @@
 //! Dead and stuck pixels that stand together: columns, rows and blocks that have one value. Noise
 //! gives them none.
 
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 
 /// Largest part of the pixels of the lines beside a dead one that have its value: beside a line of
 /// a frame of few photons, all of which are 0, nearly all are 0, too.
@@ -106,16 +106,18 @@ impl DeadPixels {
     /// Marks the blocks of 3 × 3 and more pixels; `false` where they are too many.
     fn find_blocks(&mut self, data: ArrayView2<f64>) -> bool {
         let (rows, columns) = data.dim();
-        let good = data.iter().zip(&self.bad).filter(|(_, bad)| !**bad).map(|(value, _)| *value);
-        // Light that saturates has one value, too.
-        let largest = good.fold(f64::NEG_INFINITY, f64::max);
         let (mut count, most) = (0, (MAX_SHARE * data.len() as f64) as usize);
-        for y in 1..rows.saturating_sub(1) {
+        let mut largest = None;
+        for y in (1..rows.saturating_sub(1)).filter(|&y| has_equal_neighbours(data.row(y))) {
             for x in 1..columns.saturating_sub(1) {
                 let value = data[(y, x)];
                 let is_one = |(v, u): (usize, usize)| data[(v, u)] == value;
                 let three = || (y - 1..=y + 1).flat_map(|v| (x - 1..=x + 1).map(move |u| (v, u)));
-                if data[(y, x + 1)] != value || value == largest || !three().all(is_one) {
+                if data[(y, x + 1)] != value || !three().all(is_one) {
+                    continue;
+                }
+                // Light that saturates has one value, too.
+                if value == *largest.get_or_insert_with(|| largest_good(data, self.bad.view())) {
                     continue;
                 }
                 let Some(block) = block_about(data, (y, x)).filter(|block| is_alone(data, *block, value)) else {
@@ -138,11 +140,20 @@ impl DeadPixels {
     }
 }
 
+/// Whether a row has two neighbours of one value: of noise in real numbers none has.
+fn has_equal_neighbours(row: ArrayView1<f64>) -> bool {
+    row.to_slice().is_none_or(|row| row.iter().zip(&row[1..]).fold(false, |any, (left, right)| any | (left == right)))
+}
+
+fn largest_good(data: ArrayView2<f64>, bad: ArrayView2<bool>) -> f64 {
+    data.iter().zip(&bad).filter(|(_, bad)| !**bad).fold(f64::NEG_INFINITY, |most, (value, _)| most.max(*value))
+}
+
 /// First column, first row, columns and rows of the pixels of one value in line with one; `None`
 /// where they are too many, or lead from edge to edge.
 fn block_about(data: ArrayView2<f64>, (y, x): (usize, usize)) -> Option<[usize; 4]> {
     let value = data[(y, x)];
-    let stretch = |line: ndarray::ArrayView1<f64>, at: usize| {
+    let stretch = |line: ArrayView1<f64>, at: usize| {
         let before = (0..at).rev().take(LONGEST).take_while(|&other| line[other] == value).count();
         let behind = (at + 1..line.len()).take(LONGEST).take_while(|&other| line[other] == value).count();
         let size = before + 1 + behind;
