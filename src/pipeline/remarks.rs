@@ -59,10 +59,15 @@ pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Opt
 /// Remark on segments that the scene has without light: their error bars are those of nothing.
 pub(super) fn dark_segments_remark(scene: &Scene) -> Option<String> {
     let dark = &scene.pupil.dark_segments;
+    let labels = scene.pupil.segment_labels.as_ref().map(|labels| {
+        let of_dark = dark.iter().filter_map(|number| labels.get(*number as usize));
+        format!(", with the labels {}", of_dark.collect::<Vec<_>>().join(", "))
+    });
     (!dark.is_empty()).then(|| {
         format!(
-            "No image shows the segments without light (pupil.dark_segments = {dark:?}): 0 stands for their modes, whose error bars in the \
-             tables say nothing."
+            "No image shows the segments without light (pupil.dark_segments = {dark:?}{}): 0 stands for their modes, whose error bars in \
+             the tables say nothing.",
+            labels.unwrap_or_default()
         )
     })
 }

@@ -110,11 +110,14 @@ fn misfit_outside_the_modes_remains_a_misfit() {
 #[test]
 #[ignore = "merge: 12 s"]
 fn light_that_the_pupil_lacks_is_found() {
-    let dark = estimate(&[("pupil.dark_segments", "[4]")], &[("pupil.dark_segments", "[]")], Policy::default());
+    let labels = ("pupil.segment_labels", "[11, 12, 13, 14, 15, 16, 17]");
+    let all_lit = [("pupil.dark_segments", "[]"), labels];
+    let dark = estimate(&[("pupil.dark_segments", "[4]"), labels], &all_lit, Policy::default());
     assert!(dark.model.contains("pupil.dark_segments = [4]"), "{} {:?}", dark.model, dark.warnings);
     assert!(dark.is_sound() && dark.scene.pupil.dark_segments == [4], "{:?} {:?}", dark.status, dark.warnings);
     // The error bars of these modes are of nothing.
-    assert!(dark.remarks.iter().any(|remark| remark.starts_with("No image shows the segments without light")));
+    let facts = ["No image shows the segments without light", "pupil.dark_segments = [4]", "labels 15"];
+    assert!(dark.remarks.iter().any(|remark| facts.iter().all(|fact| remark.contains(fact))), "{:?}", dark.remarks);
     let stop = [("pupil.stop_diameter_m", "4.2"), ("pupil.stop_x_m", "0.1")];
     let none = [("pupil.stop_diameter_m", "0"), ("pupil.stop_x_m", "0")];
     let stopped = estimate(&stop, &none, Policy::default());
