@@ -68,6 +68,7 @@ fn a_pair_is_better_than_either_image_and_needs_no_order() {
 }
 
 #[test]
+#[ignore = "merge: 10 s"]
 fn defocus_amplitude_is_determined_by_a_pair_not_by_one_image() {
     let made = with_channels(PAIR, &[("image.diversity_focus_waves_rms", "0.84")]);
     let made = Scene::from_text(&made.text().replace("= -0.8\n", "= -0.84\n"), Path::new("")).unwrap();

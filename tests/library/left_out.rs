@@ -79,6 +79,7 @@ fn error_bars_hold_figures_of_the_segments() {
 /// Pistons, tips and tilts along a smooth surface of 43 nm, with its opposite in the NCPA, are the
 /// wavefront of 1 nm of a common figure: which of the two it is no image says.
 #[test]
+#[ignore = "merge: 9 s"]
 fn a_common_figure_may_be_a_surface_of_the_whole_mirror() {
     let found = estimate(&[], &[("aberrations.common_figure_rms_nm", "1")], true);
     let doubt = found.warnings.iter().find(|sentence| sentence.contains("all segments share a figure")).unwrap();

@@ -65,6 +65,7 @@ fn images_of_several_wavefronts_are_not_called_ok() {
 }
 
 #[test]
+#[ignore = "merge: 9 s"]
 fn a_few_images_of_another_wavefront_are_left_out_and_named() {
     for (count, others, named) in [
         (4, &[2][..], "image 3 of 4"),
