@@ -254,22 +254,20 @@ fn coordinates(file: &mut FitsReader, index: usize) -> Result<Option<HeaderFact>
     if !file.card_at(index, "CTYPE1")?.is_some_and(is_sky) {
         return Ok(None);
     }
-    let mut along_x: [Option<(Card, String, String)>; 2] = [card(file, index, "CD1_1")?, card(file, index, "CD2_1")?];
-    let number = |card: &Option<(Card, String, String)>| card.as_ref().and_then(|(card, ..)| card.number());
-    let (keyword, degrees, written) = match [number(&along_x[0]), number(&along_x[1])] {
-        // A matrix without a card for 0 is that of axes along the sky's.
-        [None, None] => {
-            let Some((card, written, _)) = card(file, index, "CDELT1")? else { return Ok(None) };
-            ("CDELT1", card.number(), written)
-        }
-        [along, across] => {
-            let of = along_x.iter_mut().find_map(Option::take);
-            let degrees = along.unwrap_or(0.0).hypot(across.unwrap_or(0.0));
-            ("CD1_1", Some(degrees), of.map(|(_, written, _)| written).unwrap_or_default())
+    let mut number = |keyword| -> Result<Option<(f64, String)>> {
+        Ok(card(file, index, keyword)?.and_then(|(card, written, _)| Some((card.number()?, written))))
+    };
+    // An entry of the matrix without a card is 0.
+    let (keyword, degrees, written) = match (number("CD1_1")?, number("CD2_1")?) {
+        (Some((along, written)), across) => ("CD1_1", along.hypot(across.map_or(0.0, |(across, _)| across)), written),
+        (None, Some((across, written))) => ("CD2_1", across.abs(), written),
+        (None, None) => {
+            let Some((degrees, written)) = number("CDELT1")? else { return Ok(None) };
+            ("CDELT1", degrees.abs(), written)
         }
     };
-    let degrees = degrees.map(f64::abs).filter(|degrees| *degrees > 0.0 && *degrees < 1e-3);
-    Ok(degrees.map(|degrees| HeaderFact {
+    let is_pixel = degrees > 0.0 && degrees < 1e-3;
+    Ok(is_pixel.then(|| HeaderFact {
         quantity: Quantity::PixelMas,
         keyword,
         written,

@@ -255,7 +255,10 @@ impl Preparer {
     ) -> std::result::Result<(), Refusal> {
         let mut dead = self.dead.take();
         let Frame { data_e, bad, read_noise_e } = frame;
-        let has_dead = recipe.reject_outliers && dead.as_mut().is_some_and(|dead| dead.find(data_e, bad));
+        // Where bad pixels have a frame refused, dead ones, which may be far from the star, are
+        // left to the fit.
+        let is_searched = recipe.reject_outliers && (self.reduction.is_none() || ringing == Ringing::Accepted);
+        let has_dead = is_searched && dead.as_mut().is_some_and(|dead| dead.find(data_e, bad));
         let bad = dead.as_ref().filter(|_| has_dead).map_or(bad.view(), DeadPixels::bad);
         let good = Frame { data_e: data_e.view(), bad, read_noise_e };
         let outcome = self.prepare_good(good, recipe, ringing, prepared);

@@ -8,7 +8,7 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 const MOST_BESIDE: f64 = 0.5;
 /// Pixels about a block of which few have its value.
 const RING: usize = 2;
-/// Their largest part. Nine pixels of one value are then a chance of 1e-9.
+/// Their largest part. Eight more pixels of the value of a ninth are then a chance of 1e-8.
 const MOST_AROUND: f64 = 0.1;
 /// Longest side of a block.
 const LONGEST: usize = 64;
@@ -33,7 +33,7 @@ impl DeadPixels {
     pub(crate) fn new((rows, columns): (usize, usize)) -> Self {
         Self {
             bad: Array2::from_elem((rows, columns), false),
-            lines: [Vec::with_capacity(2 * columns), Vec::with_capacity(rows)],
+            lines: [Vec::with_capacity(columns), Vec::with_capacity(rows)],
             blocks: Vec::with_capacity(MOST_NAMED),
             values: Vec::with_capacity(rows.max(columns)),
         }

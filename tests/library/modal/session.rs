@@ -107,6 +107,18 @@ fn dead_lines_and_blocks_are_masked() {
 }
 
 #[test]
+fn dead_pixels_without_light_refuse_no_frame() {
+    // Reduced for the fit.
+    let scene = scene(&[]);
+    let mut session = session(&estimator(&scene), SessionOptions::default());
+    let mut images_e = source::simulate(&scene).unwrap().images_e;
+    images_e.slice_mut(s![.., 2..6, 3..7]).fill(0.0);
+    fill(&mut session, &images_e);
+    session.fit(1, &FitOptions::default()).unwrap();
+    assert_eq!(fitted(&session)[0].report.status, Status::Ok);
+}
+
+#[test]
 fn the_covariance_is_that_of_a_single_image() {
     let scene = scene(&[]);
     let images_e = source::simulate(&scene).unwrap().images_e;
