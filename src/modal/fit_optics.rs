@@ -46,7 +46,8 @@ pub(super) fn fitter(
 ) -> Result<ModalFitter> {
     let cache = ModelCache::default();
     let (search, own) = ParameterSearch::new(scene, recipe, &cache, cube, native, control)?;
-    Ok(search.run(&own, (own.clone(), search.iterate(&own)?))?.0)
+    let first = search.iterate(&own)?;
+    Ok(search.run(&own, (own.clone(), first))?.0)
 }
 
 /// Least part of χ² beyond 1 that the start and the step from it must be expected to remove for a
@@ -123,7 +124,7 @@ pub(crate) fn fit_together(
     control: &Control,
 ) -> Result<OpticsMinimum> {
     let recipe = Recipe { search_outliers: false, ..recipe.clone() };
-    let (search, own) = ParameterSearch::new(scene, &recipe, cache, cube, false, control)?;
+    let (mut search, own) = ParameterSearch::new(scene, &recipe, cache, cube, false, control)?;
     let mut elsewhere = own.clone();
     for &(optic, value) in start.values {
         let is_it = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Number(of, _) if *of == optic);

@@ -70,6 +70,8 @@ pub(crate) enum Changes {
     Wavelengths,
     /// The modes, which are those of the segments' places.
     Modes,
+    /// The part of the pupil that has light, and beyond which modes are 0.
+    Light,
 }
 
 /// What a parameter describes.
@@ -402,6 +404,7 @@ static ROWS: &[Row] = &[
         cause: None,
         parameters: &[Parameter {
             key: "pupil.central_obscuration_m",
+            changes: Changes::Light,
             absence: |pupil, _| match pupil.extent_m() {
                 None => Some(FILE),
                 Some(_) => (pupil.central_obscuration_m == 0.0).then_some("a pupil without an obscuration"),
@@ -419,6 +422,7 @@ static ROWS: &[Row] = &[
         cause: None,
         parameters: &[Parameter {
             key: "pupil.spider_width_m",
+            changes: Changes::Light,
             absence: |pupil, _| match pupil.extent_m() {
                 None => Some(FILE),
                 Some(_) => (pupil.spider_width_m == 0.0).then_some("a pupil without a spider"),
@@ -459,6 +463,7 @@ static ROWS: &[Row] = &[
 const fn stop(key: &'static str) -> Parameter {
     Parameter {
         key,
+        changes: Changes::Light,
         absence: |pupil, _| match pupil.extent_m() {
             None => Some(FILE),
             Some(_) => (pupil.stop_diameter_m == 0.0).then_some("a pupil without a stop"),

@@ -32,6 +32,8 @@ const ROUNDING: f64 = 1e-4;
 /// Largest step of one iteration, in steps of the derivatives: they hold for about half a pixel at
 /// the rim of the spot.
 const MAX_STEP: f64 = 10.0;
+/// Most times that modes are made again. From the second on a shadow moves by less than a sample.
+const MAX_RENEWALS: usize = 3;
 
 /// The search, with what all iterations share.
 pub(super) struct ParameterSearch {
@@ -42,8 +44,9 @@ pub(super) struct ParameterSearch {
     recipe: Recipe,
     native: bool,
     scene_basis: Arc<SceneBasis>,
-    /// The modes, where all values of the parameters have the same.
-    modes: OnceLock<ModeSet>,
+    /// The modes with the values of the parameters that they were made for, where others have the
+    /// same.
+    modes: OnceLock<(Vec<f64>, ModeSet)>,
     /// Images that are fitted, evenly from all.
     images_e: Array3<f64>,
     bad: Array3<bool>,
@@ -116,13 +119,38 @@ impl ParameterSearch {
 
     /// Iterates from `start`, values and their iteration, and returns the fitter with the median
     /// reduced χ². `own` are the scene's values.
-    pub(super) fn run(&self, own: &[f64], start: (Vec<f64>, ParameterIteration)) -> Result<(ModalFitter, f64)> {
+    pub(super) fn run(mut self, own: &[f64], start: (Vec<f64>, ParameterIteration)) -> Result<(ModalFitter, f64)> {
         let (values, iteration) = self.minimum(start)?;
         Ok((self.fitter_at(own, &values, &iteration)?, iteration.reduced_chi2))
     }
 
     /// The values of the minimum that iterations from `start` reach, with the last iteration.
-    pub(super) fn minimum(&self, start: (Vec<f64>, ParameterIteration)) -> Result<(Vec<f64>, ParameterIteration)> {
+    pub(super) fn minimum(&mut self, start: (Vec<f64>, ParameterIteration)) -> Result<(Vec<f64>, ParameterIteration)> {
+        let mut found = self.minimum_of_modes(start)?;
+        for _ in 0..MAX_RENEWALS {
+            if !self.is_light_elsewhere(&found.0) {
+                break;
+            }
+            self.modes = OnceLock::new();
+            let first = self.iterate(&found.0)?;
+            found = self.minimum_of_modes((found.0, first))?;
+        }
+        Ok(found)
+    }
+
+    /// Whether the part of the pupil that has light is no longer that of the modes: they are 0 where
+    /// there was none.
+    fn is_light_elsewhere(&self, values: &[f64]) -> bool {
+        let Some((made_for, _)) = self.modes.get() else { return false };
+        let has_moved = |(number, parameter): (usize, &FittedParameter)| {
+            let is_light = matches!(parameter, FittedParameter::Number(_, of) if of.changes == Changes::Light);
+            is_light && (values[number] - made_for[number]).abs() > self.steps[number]
+        };
+        self.parameters.iter().enumerate().any(has_moved)
+    }
+
+    /// As [`ParameterSearch::minimum`], with the modes that there are.
+    fn minimum_of_modes(&self, start: (Vec<f64>, ParameterIteration)) -> Result<(Vec<f64>, ParameterIteration)> {
         let (mut values, mut iteration) = start;
         for number in 1..=MAX_ITERATIONS {
             let mut step = iteration.step.clone();
@@ -170,7 +198,7 @@ impl ParameterSearch {
     /// The fitter of the scene with `values`, those of `iteration`.
     pub(super) fn fitter_at(&self, own: &[f64], values: &[f64], iteration: &ParameterIteration) -> Result<ModalFitter> {
         let scene = with_numbers(&self.scene, &self.parameters, values)?;
-        let mut fitter = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene)?)?;
+        let mut fitter = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene, values)?)?;
         fitter.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
         fitter.fitted_optics = self.fitted(&fitter.model.telescope, own, values, iteration);
         Ok(fitter)
@@ -228,8 +256,8 @@ impl ParameterSearch {
         if same_basis(&self.scene, scene) { self.scene_basis.clone() } else { Arc::default() }
     }
 
-    /// Modes of `scene`: other places of the segments need others.
-    fn modes_of(&self, scene: &System) -> Result<ModeSet> {
+    /// Modes of `scene`, which has these values: other places of the segments need others.
+    fn modes_of(&self, scene: &System, values: &[f64]) -> Result<ModeSet> {
         let (recipe, scene_basis) = (&self.recipe, self.basis_of(scene));
         let make = || ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, &scene_basis);
         let is_of_modes =
@@ -237,11 +265,11 @@ impl ParameterSearch {
         if self.parameters.iter().any(is_of_modes) {
             return make();
         }
-        if let Some(modes) = self.modes.get() {
+        if let Some((_, modes)) = self.modes.get() {
             return Ok(modes.clone());
         }
-        let modes = make()?;
-        Ok(self.modes.get_or_init(|| modes).clone())
+        let made = (values.to_vec(), make()?);
+        Ok(self.modes.get_or_init(|| made).1.clone())
     }
 
     /// Fitter of `scene` with these values of the parameters, whose modes are `modes`.
@@ -261,7 +289,7 @@ impl ParameterSearch {
         let scene = with_numbers(&self.scene, &self.parameters, values)?;
         // Far from the right parameters restarts do not help.
         let recipe = Recipe { restarts: 0, ..self.recipe.clone() };
-        let modes = self.modes_of(&scene)?;
+        let modes = self.modes_of(&scene, values)?;
         let fitter = self.fitter(&scene, values, recipe, modes.clone())?;
         let mut chain = Chain::cpu(fitter.model.optics.clone(), Precision::F64);
         let fitted = fitter.fit_all(&mut chain, self.cube(), None, None, &self.control)?;
