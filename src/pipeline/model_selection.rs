@@ -37,11 +37,11 @@ const FINER: [f64; 2] = [4.0 / 3.0, 5.0 / 3.0];
 /// Width of a spider's vanes, m, and diameter of an obscuration relative to the pupil, from which
 /// their fits start: a few iterations from those of real telescopes (2 to 5 cm, 0.1 to 0.3).
 const SPIDER_M: f64 = 0.01;
-const OBSCURATION: f64 = 0.2;
+const OBSCURATION: f64 = 0.16;
 
-/// Reduced χ² from which segments without light and a stop of the camera are looked for, with some
-/// forty fits of a coarse model: two of 36 segments leave 2,200, a stop that hides 5 % of the light
-/// 1,300 (Keck, peak S/N of 500).
+/// Reduced χ² from which segments without light and shadows are looked for, with up to a hundred
+/// fits of a coarse model: two of 36 segments leave 2,200, a stop that hides 5 % of the light 1,300
+/// (Keck, peak S/N of 500).
 const SHADED: f64 = 100.0;
 
 /// What is added to the model of a scene.
@@ -53,7 +53,7 @@ pub(super) enum Extension {
     ZernikesTo(usize),
     /// An optical parameter that is fitted: the reflectivities, a spider or an obscuration.
     Fitted(Optic),
-    /// Segments without light, or a stop of the camera, which is fitted.
+    /// Segments without light, or a shadow, which is fitted.
     LostLight(LostLight),
 }
 
@@ -76,22 +76,26 @@ impl Extension {
                 }
                 sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last });
             }
-            Self::Fitted(optic) => {
-                match (optic, extent_m) {
-                    (Optic::SPIDERS, _) => sections.pupil.spider_width_m = SPIDER_M,
-                    (Optic::OBSCURATION, Some(extent_m)) => {
-                        sections.pupil.central_obscuration_m = OBSCURATION * extent_m;
-                    }
-                    _ => {}
+            Self::Fitted(optic) => match (optic, extent_m) {
+                (Optic::SPIDERS, _) => sections.pupil.spider_width_m = SPIDER_M,
+                (Optic::OBSCURATION, Some(extent_m)) => {
+                    sections.pupil.central_obscuration_m = OBSCURATION * extent_m;
                 }
-                sections.estimate.fit_optics = vec![optic];
-            }
-            Self::LostLight(LostLight::Dark(ref segments)) => sections.pupil.dark_segments.clone_from(segments),
-            Self::LostLight(LostLight::Stop(stop_m)) => {
-                let pupil = &mut sections.pupil;
-                [pupil.stop_diameter_m, pupil.stop_x_m, pupil.stop_y_m] = stop_m;
-                sections.estimate.fit_optics = vec![Optic::STOP];
-            }
+                _ => {}
+            },
+            Self::LostLight(ref lost) => lost.take_from(&mut sections.pupil),
+        }
+        sections.estimate.fit_optics.extend(self.optic());
+    }
+
+    /// The optical parameter that is fitted with this.
+    fn optic(&self) -> Option<Optic> {
+        match *self {
+            Self::Fitted(optic) => Some(optic),
+            Self::LostLight(LostLight::Stop(_)) => Some(Optic::STOP),
+            Self::LostLight(LostLight::Obscuration(_)) => Some(Optic::OBSCURATION),
+            Self::LostLight(LostLight::Spider(_)) => Some(Optic::SPIDERS),
+            Self::SegmentTilts | Self::ZernikesTo(_) | Self::LostLight(LostLight::Dark(_)) => None,
         }
     }
 
@@ -99,8 +103,10 @@ impl Extension {
         match *self {
             Self::SegmentTilts => "tip and tilt of each segment".into(),
             Self::ZernikesTo(last) => format!("Zernikes to Noll {last}"),
-            Self::Fitted(Optic::OBSCURATION) => "a central obscuration".into(),
-            Self::Fitted(Optic::SPIDERS) => "a spider".into(),
+            Self::Fitted(Optic::OBSCURATION) | Self::LostLight(LostLight::Obscuration(_)) => {
+                "a central obscuration".into()
+            }
+            Self::Fitted(Optic::SPIDERS) | Self::LostLight(LostLight::Spider(_)) => "a spider".into(),
             Self::Fitted(optic) => optic.word().into(),
             Self::LostLight(LostLight::Dark(ref segments)) => {
                 format!("segments without light (pupil.dark_segments = {segments:?})")
@@ -119,8 +125,12 @@ impl Extension {
             Self::ZernikesTo(wanted) => {
                 matches!(scene.modes.exact_zernikes, Some(NollRange::Span { last, .. }) if last >= wanted)
             }
-            Self::Fitted(Optic::SPIDERS) => !has_geometry || scene.pupil.spider_width_m > 0.0,
-            Self::Fitted(Optic::OBSCURATION) => !has_geometry || scene.pupil.central_obscuration_m > 0.0,
+            Self::Fitted(Optic::SPIDERS) | Self::LostLight(LostLight::Spider(_)) => {
+                !has_geometry || scene.pupil.spider_width_m > 0.0
+            }
+            Self::Fitted(Optic::OBSCURATION) | Self::LostLight(LostLight::Obscuration(_)) => {
+                !has_geometry || scene.pupil.central_obscuration_m > 0.0
+            }
             Self::Fitted(_) => scene.modes.segment != SegmentModes::Piston,
             Self::LostLight(LostLight::Dark(_)) => !has_geometry || !scene.pupil.dark_segments.is_empty(),
             Self::LostLight(LostLight::Stop(_)) => !has_geometry || scene.pupil.stop_diameter_m > 0.0,
@@ -219,20 +229,30 @@ pub(super) fn select(
         }
     };
     let mut trials = trials(scene, &base, &mut |extended| chi2_of(fit, extended))?;
-    if base.reduced_chi2 > SHADED
-        && !trials.iter().any(|trial| trial.fit.is_explained)
-        && let Some(lost) =
-            lost_light::find(scene, &|coarse| Ok(chi2_of(fit_coarsely, coarse)?.map(|found| found.reduced_chi2)))?
-        && let extension = Extension::LostLight(lost)
-        && let Ok(extended) = scene.changed(|sections| extension.add_to(sections))
-        && let Some(found) = chi2_of(fit, &extended)?
-    {
-        trials.push(Trial { extensions: vec![extension], scene: extended, fit: found });
+    if base.reduced_chi2 > SHADED && !trials.iter().any(|trial| trial.fit.is_explained) {
+        let coarse_chi2 = |coarse: &Scene| Ok(chi2_of(fit_coarsely, coarse)?.map(|found| found.reduced_chi2));
+        let lost: Vec<_> = lost_light::find(scene, &coarse_chi2)?.into_iter().map(Extension::LostLight).collect();
+        if !lost.is_empty() {
+            let explained = attempt(scene, &lost, &mut |extended| chi2_of(fit, extended), &mut trials)?;
+            // A shadow may be too thin for the coarse model.
+            let is_left = explained.is_some_and(|fit| !fit.is_explained);
+            let others = FITTED.into_iter().filter(|&optic| lost.iter().all(|lost| lost.optic() != Some(optic)));
+            for optic in others.take_while(|_| is_left) {
+                let both = [&lost[..], &[Extension::Fitted(optic)]].concat();
+                let found = attempt(scene, &both, &mut |extended| chi2_of(fit, extended), &mut trials)?;
+                if found.is_some_and(|fit| fit.is_explained) {
+                    break;
+                }
+            }
+        }
     }
     let pixels = (own.0.model().optics.sampling().pixels as f64).powi(2);
     Ok(best(&trials, pixels).filter(|trial| trial.fit.left_of(&base) < MOST_LEFT).map(|trial| {
         let names: Vec<String> = trial.extensions.iter().map(|extension| extension.name()).collect();
-        let added = names.join(" and ");
+        let added = match &names[..] {
+            [first @ .., before, last] => [first, &[format!("{before} and {last}")]].concat().join(", "),
+            _ => names.concat(),
+        };
         let remark = format!(
             "The model was extended by {added}: the reduced χ² of {name} is {:.3} in place of {:.1} \
              (estimate.model = \"scene\" keeps that of the scene).",
@@ -242,19 +262,28 @@ pub(super) fn select(
     }))
 }
 
+/// Tries `scene` with `extensions`, and adds the trial to `done`; `None` where the scene has one of
+/// them, or does not accept them.
+fn attempt(
+    scene: &Scene,
+    extensions: &[Extension],
+    fit: &mut dyn FnMut(&Scene) -> Result<Option<Fit>>,
+    done: &mut Vec<Trial>,
+) -> Result<Option<Fit>> {
+    if extensions.iter().any(|extension| extension.is_in(scene)) {
+        return Ok(None);
+    }
+    let add = |sections: &mut Sections| extensions.iter().for_each(|extension| extension.add_to(sections));
+    let Ok(extended) = scene.changed(add) else { return Ok(None) };
+    let Some(found) = fit(&extended)? else { return Ok(None) };
+    done.push(Trial { extensions: extensions.to_vec(), scene: extended, fit: found });
+    Ok(Some(found))
+}
+
 /// The models that are tried, until one explains the image: each extension alone, then both.
 fn trials(scene: &Scene, base: &Fit, fit: &mut dyn FnMut(&Scene) -> Result<Option<Fit>>) -> Result<Vec<Trial>> {
     let mut done: Vec<Trial> = Vec::new();
-    let mut attempt = |extensions: &[Extension], done: &mut Vec<Trial>| -> Result<Option<Fit>> {
-        if extensions.iter().any(|extension| extension.is_in(scene)) {
-            return Ok(None);
-        }
-        let add = |sections: &mut Sections| extensions.iter().for_each(|extension| extension.add_to(sections));
-        let Ok(extended) = scene.changed(add) else { return Ok(None) };
-        let Some(found) = fit(&extended)? else { return Ok(None) };
-        done.push(Trial { extensions: extensions.to_vec(), scene: extended, fit: found });
-        Ok(Some(found))
-    };
+    let mut attempt = |extensions: &[Extension], done: &mut Vec<Trial>| attempt(scene, extensions, fit, done);
     let removes = |fit: &Fit| 1.0 - fit.left_of(base);
     if attempt(&[Extension::SegmentTilts], &mut done)?.is_some_and(|fit| fit.is_explained) {
         return Ok(done);

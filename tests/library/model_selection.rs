@@ -121,7 +121,29 @@ fn light_that_the_pupil_lacks_is_found() {
     let stop = [("pupil.stop_diameter_m", "4.2"), ("pupil.stop_x_m", "0.1")];
     let none = [("pupil.stop_diameter_m", "0"), ("pupil.stop_x_m", "0")];
     let stopped = estimate(&stop, &none, Policy::default());
-    assert_eq!(stopped.status, Status::Ok, "{:?}", stopped.warnings);
+    assert!(stopped.status == Status::Ok && is_right(&stopped), "{:?}", stopped.warnings);
     let found = |key: &str| stopped.optics.iter().find(|parameter| parameter.key == key).unwrap().value;
     assert!((found("pupil.stop_diameter_m") - 4.2).abs() < 0.02 && (found("pupil.stop_x_m") - 0.1).abs() < 0.02);
+}
+
+#[test]
+#[ignore = "merge: 20 s"]
+fn shadows_that_the_scene_lacks_are_found_together() {
+    let made = [
+        ("pupil.stop_diameter_m", 4.2),
+        ("pupil.stop_x_m", -0.1),
+        ("pupil.central_obscuration_m", 1.3),
+        ("pupil.spider_width_m", 0.1),
+    ];
+    let texts = made.map(|(_, value)| value.to_string());
+    let settings: Vec<_> = made.iter().zip(&texts).map(|((key, _), text)| (*key, text.as_str())).collect();
+    let images = Images::simulated(&scene(&settings)).unwrap();
+    // Its pupil has samples that the true one lacks, so the truth is not compared.
+    let found = Estimator::new(&scene(&[])).unwrap().estimate(&images).unwrap();
+    assert_eq!(found.status, Status::Ok, "{} {:?}", found.model, found.warnings);
+    for (key, value) in made {
+        let fitted = found.optics.iter().find(|parameter| parameter.key == key).unwrap();
+        // Samples of 5 cm with edges of their exact area.
+        assert!((fitted.value - value).abs() < 0.001, "{fitted:?}");
+    }
 }
