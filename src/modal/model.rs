@@ -105,8 +105,9 @@ impl Model {
     ) -> Result<Self> {
         scene.refuse_channels("a model and its sessions")?;
         refuse_turns(scene, &telescope)?;
-        let pixels = PixelPlan::new(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
+        let may_be_finer = band_limited && scene.pupil.extent_m().is_some();
+        let pixels = PixelPlan::new(scene, recipe, native, (diversity, &telescope.pupil), may_be_finer);
         if let Some(samples) = scene.estimate.samples.filter(|&samples| !band_limited && samples != scene.pupil.samples)
         {
             return Err(Error::Scene(format!(

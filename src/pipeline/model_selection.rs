@@ -50,7 +50,12 @@ pub(super) enum Extension {
     /// Tip and tilt of each segment.
     SegmentTilts,
     /// All Zernikes to a Noll index.
-    ZernikesTo(usize),
+    ZernikesTo {
+        /// The index.
+        last: usize,
+        /// Samples of the model without them: it has no fewer with them.
+        own_samples: usize,
+    },
     /// An optical parameter that is fitted: the reflectivities, a spider or an obscuration.
     Fitted(Optic),
     /// Segments without light, or a shadow, which is fitted.
@@ -67,12 +72,12 @@ impl Extension {
         let extent_m = sections.pupil.extent_m();
         match *self {
             Self::SegmentTilts => sections.modes.segment = SegmentModes::PistonTipTilt,
-            Self::ZernikesTo(last) => {
+            Self::ZernikesTo { last, own_samples } => {
                 let finer = FINER[usize::from(last > LAST_NOLL[0])];
                 // Only a pupil that is known on a finer grid can have more samples.
                 if extent_m.is_some() && sections.estimate.samples.is_none() {
                     let samples = 2 * (0.5 * finer * sections.pupil.samples as f64).round() as usize;
-                    sections.estimate.samples = Some(samples);
+                    sections.estimate.samples = Some(samples.max(own_samples));
                 }
                 sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last });
             }
@@ -95,14 +100,14 @@ impl Extension {
             Self::LostLight(LostLight::Stop(_)) => Some(Optic::STOP),
             Self::LostLight(LostLight::Obscuration(_)) => Some(Optic::OBSCURATION),
             Self::LostLight(LostLight::Spider(_)) => Some(Optic::SPIDERS),
-            Self::SegmentTilts | Self::ZernikesTo(_) | Self::LostLight(LostLight::Dark(_)) => None,
+            Self::SegmentTilts | Self::ZernikesTo { .. } | Self::LostLight(LostLight::Dark(_)) => None,
         }
     }
 
     fn name(&self) -> String {
         match *self {
             Self::SegmentTilts => "tip and tilt of each segment".into(),
-            Self::ZernikesTo(last) => format!("Zernikes to Noll {last}"),
+            Self::ZernikesTo { last, .. } => format!("Zernikes to Noll {last}"),
             Self::Fitted(Optic::OBSCURATION) | Self::LostLight(LostLight::Obscuration(_)) => {
                 "a central obscuration".into()
             }
@@ -122,7 +127,7 @@ impl Extension {
         let has_geometry = scene.pupil.extent_m().is_some();
         match *self {
             Self::SegmentTilts => scene.modes.segment != SegmentModes::Piston || scene.image.is_pupil_turned(),
-            Self::ZernikesTo(wanted) => {
+            Self::ZernikesTo { last: wanted, .. } => {
                 matches!(scene.modes.exact_zernikes, Some(NollRange::Span { last, .. }) if last >= wanted)
             }
             Self::Fitted(Optic::SPIDERS) | Self::LostLight(LostLight::Spider(_)) => {
@@ -143,6 +148,8 @@ impl Extension {
 struct Fit {
     reduced_chi2: f64,
     parameters: usize,
+    /// Samples of the pupil along a side.
+    samples: usize,
     is_explained: bool,
 }
 
@@ -153,6 +160,7 @@ impl Fit {
         Self {
             reduced_chi2: report.reduced_chi2,
             parameters: fitter.model().basis.len() + fitter.fitted_optics().len(),
+            samples: fitter.model().optics.sampling().samples,
             is_explained: report.status == Status::Ok,
         }
     }
@@ -234,15 +242,13 @@ pub(super) fn select(
         let lost: Vec<_> = lost_light::find(scene, &coarse_chi2)?.into_iter().map(Extension::LostLight).collect();
         if !lost.is_empty() {
             let explained = attempt(scene, &lost, &mut |extended| chi2_of(fit, extended), &mut trials)?;
-            // A shadow may be too thin for the coarse model.
-            let is_left = explained.is_some_and(|fit| !fit.is_explained);
-            let others = FITTED.into_iter().filter(|&optic| lost.iter().all(|lost| lost.optic() != Some(optic)));
-            for optic in others.take_while(|_| is_left) {
-                let both = [&lost[..], &[Extension::Fitted(optic)]].concat();
+            // A spider may be too thin for the coarse model.
+            let has_spider = lost.iter().any(|lost| lost.optic() == Some(Optic::SPIDERS));
+            if let Some(shaded) = explained.filter(|fit| !fit.is_explained && !has_spider) {
+                let both = [&lost[..], &[Extension::Fitted(Optic::SPIDERS)]].concat();
                 let found = attempt(scene, &both, &mut |extended| chi2_of(fit, extended), &mut trials)?;
-                if found.is_some_and(|fit| fit.is_explained) {
-                    break;
-                }
+                // What helps little is not what is missing.
+                trials.pop_if(|_| found.is_some_and(|fit| fit.left_of(&shaded) > 1.0 - WORTH_EXTENDING));
             }
         }
     }
@@ -284,12 +290,13 @@ fn attempt(
 fn trials(scene: &Scene, base: &Fit, fit: &mut dyn FnMut(&Scene) -> Result<Option<Fit>>) -> Result<Vec<Trial>> {
     let mut done: Vec<Trial> = Vec::new();
     let mut attempt = |extensions: &[Extension], done: &mut Vec<Trial>| attempt(scene, extensions, fit, done);
+    let zernikes_to = |last| Extension::ZernikesTo { last, own_samples: base.samples };
     let removes = |fit: &Fit| 1.0 - fit.left_of(base);
     if attempt(&[Extension::SegmentTilts], &mut done)?.is_some_and(|fit| fit.is_explained) {
         return Ok(done);
     }
     for last in LAST_NOLL {
-        match attempt(&[Extension::ZernikesTo(last)], &mut done)? {
+        match attempt(&[zernikes_to(last)], &mut done)? {
             Some(fit) if fit.is_explained => return Ok(done),
             Some(fit) if removes(&fit) < WORTH_EXTENDING => break,
             _ => {}
@@ -303,7 +310,7 @@ fn trials(scene: &Scene, base: &Fit, fit: &mut dyn FnMut(&Scene) -> Result<Optio
     let most = done.iter().map(|trial| removes(&trial.fit)).fold(0.0, f64::max);
     if most >= WORTH_EXTENDING {
         for last in LAST_NOLL {
-            let both = [Extension::SegmentTilts, Extension::ZernikesTo(last)];
+            let both = [Extension::SegmentTilts, zernikes_to(last)];
             if attempt(&both, &mut done)?.is_some_and(|fit| fit.is_explained) {
                 break;
             }
@@ -324,7 +331,7 @@ mod tests {
     use super::*;
 
     fn fit(reduced_chi2: f64, parameters: usize) -> Fit {
-        Fit { reduced_chi2, parameters, is_explained: reduced_chi2 < 1.2 }
+        Fit { reduced_chi2, parameters, samples: 120, is_explained: reduced_chi2 < 1.2 }
     }
 
     /// Names of the extensions of the trials that were made, for an image with these χ² by
@@ -393,7 +400,10 @@ mod tests {
         };
         // 119 parameters more at 10,000 pixels must lower χ² by 119 ln N = 1,096: reduced χ² by
         // more than 0.1.
-        let (few, many) = (Extension::ZernikesTo(91), Extension::ZernikesTo(210));
+        let (few, many) = (
+            Extension::ZernikesTo { last: 91, own_samples: 120 },
+            Extension::ZernikesTo { last: 210, own_samples: 120 },
+        );
         let chosen = |chi2: [f64; 2]| {
             best(&[trial(chi2[0], 200, few.clone()), trial(chi2[1], 319, many.clone())], 1e4).unwrap().extensions[0]
                 .clone()

@@ -78,7 +78,7 @@ section! {
         sampling: Sampling, ANY, default(Sampling::Auto);
         /// Number of samples along a side of the grid on which a band-limited model is fitted; maps
         /// have the pupil's grid.
-        samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
+        samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples, or as many as a larger defocus needs");
         /// Number of wavelengths of the model; the time of an evaluation is proportional to it.
         wavelengths: Option<usize>, between(1.0, 99.0), unset("as the width of the filter requires; 1 with the recipes of Lamb et al.");
         /// Largest number of evaluations of the objective for one image.

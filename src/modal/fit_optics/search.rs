@@ -138,8 +138,8 @@ impl ParameterSearch {
         Ok(found)
     }
 
-    /// Whether the part of the pupil that has light is no longer that of the modes: they are 0 where
-    /// there was none.
+    /// Whether the part of the pupil that has light is no longer that of the modes, which are 0
+    /// where there was none.
     fn is_light_elsewhere(&self, values: &[f64]) -> bool {
         let Some((made_for, _)) = self.modes.get() else { return false };
         let has_moved = |(number, parameter): (usize, &FittedParameter)| {
@@ -312,15 +312,19 @@ impl ParameterSearch {
         values: &[f64],
         modes: &ModeSet,
     ) -> Result<Vec<Perturbed>> {
-        // Models a step apart may select other pixels by themselves: the crop is fixed.
+        // Models a step apart may select other pixels and samples by themselves: these are fixed.
         let plan = fitter.model.preparation;
+        let samples = fitter.model.optics.sampling().samples;
         let [longest, reduced] = [plan.frame, plan.reduced].map(|side| side[0].max(side[1]));
         let crop = Crop::Pixels((plan.pixels * longest).div_ceil(reduced));
         let model = |number: usize, side: f64| -> Result<CpuChain<f64>> {
             let mut values = values.to_vec();
             values[number] += side * self.steps[number];
             let perturbed = with_numbers(scene, &self.parameters, &values)?;
-            let perturbed = perturbed.with(|sections| sections.image.crop_pixels = crop)?;
+            let perturbed = perturbed.with(|sections| {
+                sections.image.crop_pixels = crop;
+                sections.estimate.samples = Some(samples);
+            })?;
             let telescope = telescope(&perturbed, &self.parameters, &values)?;
             let model = Model::with_modes(&perturbed, &self.recipe, self.native, telescope, modes.clone())?;
             if model.preparation != plan {

@@ -62,7 +62,8 @@ words! {
     /// Pixels on which image and model are compared.
     #[derive(Copy)]
     Sampling {
-        /// The faster one without loss of information.
+        /// The faster one without loss: two pixels per λ/D where these are fewer, no pixel is bad,
+        /// and the frame cuts off no light.
         Auto = "auto",
         /// The detector's pixels.
         Native = "native",

@@ -91,6 +91,28 @@ fn one_image_gives_both_maps_within_their_error_bars() {
 }
 
 #[test]
+fn large_defocuses_are_fitted_on_more_samples() {
+    let fitted = |waves: &str, samples: Option<&str>| {
+        let own = [("image.diversity_focus_waves_rms", waves)].into_iter();
+        let own = own.chain(samples.map(|samples| ("estimate.samples", samples)));
+        let scene = scene(&own.collect::<Vec<_>>());
+        let made = source::simulate(&scene).unwrap();
+        let (fitter, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
+        let ratios = residuals(&fitter, &found, &made).into_iter().zip(promised(&fitter, &found)).map(|(a, b)| a / b);
+        let samples = fitter.model().optics.sampling().samples;
+        println!("{waves} waves: {samples} samples, χ² {}", found.reduced_chi2());
+        (samples, found.reduced_chi2(), ratios.fold(0.0, f64::max))
+    };
+    // Those of the scene carry all light of the spot.
+    assert_eq!(fitted("0.5", None).0, 64);
+    // They do not.
+    let (few, more) = (fitted("1.2", Some("64")), fitted("1.2", None));
+    assert!(few.0 == 64 && few.1 > 10.0, "{few:?}");
+    // What is left is the sampling of the truth.
+    assert!(more.0 > 64 && more.1 < 1.5 && more.2 < 1.8, "{more:?}");
+}
+
+#[test]
 fn outlier_pixels_are_rejected_in_images_with_a_misfit() {
     // Each pixel by itself, and four of nine in one, where a hole would be smeared.
     for sampling in ["native", "nyquist"] {

@@ -272,7 +272,8 @@ fn error_bars_of_many_bright_images_include_model_errors() {
     // The sampling of the pupil is an error that does not average out: a reduced χ² of 1.14 in one
     // image at 250, which is no misfit, and of 1.56 at 500, which is one.
     for peak_snr in ["250", "500"] {
-        let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr), super::NOISE_ALONE]);
+        let coarse = ("estimate.samples", "64");
+        let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr), coarse, super::NOISE_ALONE]);
         let made = source::simulate(&scene).unwrap();
         let (fitter, found) = fit_scene(&scene, &made.images_e);
         let at = Array1::from(found.combined.modes.coefficients_nm.clone());
@@ -294,7 +295,8 @@ fn error_bars_of_many_bright_images_include_model_errors() {
 fn modes_that_are_not_there_add_little_to_the_error_bars() {
     let settings = [("image.count", "14"), ("image.peak_snr", "100"), ("aberrations.ncpa_zernikes", "[4, 18]")];
     let (fitter, found, made) = estimate_open(&settings);
-    assert_eq!(found.used(), 14);
+    // One may be clipped by chance.
+    assert!(found.used() >= 13);
     let scene =
         fitter.scene().with(|sections| sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last: 21 }));
     let scene = scene.unwrap();
