@@ -781,7 +781,9 @@ typedef struct {
   double ncpa_sigma_nm;
   /* Phasing and NCPA together, nm RMS. */
   double wavefront_rms_nm;
-  /* Expected error of both together, nm RMS; NaN in a MAP estimate. */
+  /* Expected error of both together, nm RMS; in a MAP estimate the most that it can be, the sum
+   * of both.
+   */
   double wavefront_sigma_nm;
   /* Median reduced chi-square of the images that were used. Turbulence finer than the model's
    * samples makes it 4 to 5 behind a bright star in a MAP estimate.

@@ -125,7 +125,8 @@ pub struct cophase_estimate_info {
     pub ncpa_sigma_nm: f64,
     /// Phasing and NCPA together, nm RMS.
     pub wavefront_rms_nm: f64,
-    /// Expected error of both together, nm RMS; NaN in a MAP estimate.
+    /// Expected error of both together, nm RMS; in a MAP estimate the most that it can be, the sum
+    /// of both.
     pub wavefront_sigma_nm: f64,
     /// Median reduced chi-square of the images that were used. Turbulence finer than the model's
     /// samples makes it 4 to 5 behind a bright star in a MAP estimate.

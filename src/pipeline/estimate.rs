@@ -130,7 +130,8 @@ pub struct Figures {
     pub phasing: Figure,
     /// Of the NCPA.
     pub ncpa: Figure,
-    /// Of the sum of both; its error bar is NaN in a MAP estimate, which does not compute it.
+    /// Of the sum of both. The error bar of a MAP estimate is an upper limit, the sum of both error
+    /// bars: how their errors go together is not known.
     pub wavefront: Figure,
 }
 

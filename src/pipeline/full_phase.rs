@@ -170,7 +170,7 @@ pub(super) fn estimate(
         integers: found.integers.clone(),
         basis: basis(last),
         modes: last.modes(),
-        figures: Figures::new(&pupil, &last.maps, [phasing_nm, ncpa_nm, f64::NAN])?,
+        figures: Figures::new(&pupil, &last.maps, [phasing_nm, ncpa_nm, phasing_nm + ncpa_nm])?,
         maps: last.maps.clone(),
         sigma_maps: last.sigma_maps.clone(),
         error_budget: last.error_budget.terms.iter().filter(contributes).cloned().collect(),

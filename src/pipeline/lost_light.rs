@@ -1,5 +1,5 @@
-//! Light that a pupil lacks and the scene has: segments without any, a stop of the camera, a central
-//! obscuration, a spider.
+//! Light that a pupil lacks and the scene has: segments without any, a stop of the camera, a
+//! central obscuration, a spider.
 //!
 //! From the model with all light no fit leads there, because the image is of another shape: each is
 //! tried, by a coarse model with the first Zernikes, whose χ² has to fall by much.
@@ -61,8 +61,9 @@ impl LostLight {
     }
 }
 
-/// What lowers the χ² of an image most: segments without light, or shadows of different kinds; none
-/// where nothing lowers it by much. `fitted` is the reduced χ² with a scene, where it can be fitted.
+/// What lowers the χ² of an image most: segments without light, or shadows of different kinds;
+/// none where nothing lowers it by much. `fitted` is the reduced χ² with a scene, where it can be
+/// fitted.
 ///
 /// # Errors
 /// Those of `fitted`.

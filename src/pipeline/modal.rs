@@ -31,8 +31,7 @@ impl Fitted {
         let figures = Figures::new(&pupil, &found.combined.maps, sigma_nm)?;
         let without_staircases = WithoutStaircases::of((&errors, model), found.left_out(), &figures)?;
         let open = without_staircases.as_ref().map(|without| without.remark(&figures));
-        let (status, of_step) = (found.status_of_all(), found.left_out());
-        let of_step = of_step.filter(|_| status.is_near_minimum());
+        let (status, of_step) = (found.status_of_all(), warnings::meaningful_left_out(&found, changes));
         let left_out = of_step.map(remarks::left_out_remarks).unwrap_or_default();
         let extended = selected.as_ref().map(|selected| selected.remark.clone());
         let of_scene = [

@@ -84,7 +84,12 @@ fn table(estimate: &Estimate) -> String {
     let Figures { phasing, ncpa, wavefront } = estimate.figures;
     let rows = [("phasing", phasing), ("NCPA", ncpa), ("wavefront", wavefront)];
     for (i, (name, Figure { rms_nm, sigma_nm })) in rows.into_iter().enumerate() {
-        let sigma = if sigma_nm.is_nan() { "-".into() } else { format!("{sigma_nm:.3}") };
+        let is_bound = i == 2 && estimate.full_phase().is_some();
+        let sigma = match sigma_nm {
+            _ if sigma_nm.is_nan() => "-".into(),
+            _ if is_bound => format!("≤ {sigma_nm:.3}"),
+            _ => format!("{sigma_nm:.3}"),
+        };
         let residual = residuals_nm.map(|nm| format!("{:>16.3}", nm[i])).unwrap_or_default();
         // Writing into memory does not fail.
         let _ = writeln!(text, "{name:<12}{rms_nm:>10.3}{sigma:>12}{residual}");

@@ -99,13 +99,19 @@ pub(super) fn modal_warnings(
         sentences.extend(agreement_warning(found));
     }
     sentences.extend(mean_residual_warning(found));
-    let of_step = found.left_out().filter(|_| found.status_of_all().is_near_minimum());
-    sentences.extend(of_step.map(left_out_warnings).unwrap_or_default());
+    sentences.extend(meaningful_left_out(found, changes).map(left_out_warnings).unwrap_or_default());
     sentences.extend(model_warning(model));
     let is_known = |direction: &Direction| fitter.is_global_motion(direction) || fitter.is_of_dark_segments(direction);
     let unknown = found.degeneracy.null.iter().filter(|direction| alone && !is_known(direction));
     sentences.extend(unknown_warning(&unknown.map(|direction| direction.description.as_str()).collect::<Vec<_>>()));
     sentences
+}
+
+/// What the modes of an estimate leave out, where the step that finds it has a meaning: near a
+/// minimum, of images that do not change by this reduced χ² as behind adaptive optics.
+pub(super) fn meaningful_left_out(found: &modal::ModalEstimate, changes: Option<f64>) -> Option<&WithLeftOut> {
+    let is_static = changes.is_none_or(|chi2| chi2 < CHANGING);
+    found.left_out().filter(|_| is_static && found.status_of_all().is_near_minimum())
 }
 
 /// Warnings on errors of the optics and the camera beyond their tolerances that the images show,

@@ -144,7 +144,10 @@ pub fn likely_unit(values_nm: impl Iterator<Item = f64>) -> Option<String> {
         return None;
     }
     let of_lengths = [("um", 1e3), ("m", 1e9)].into_iter().find(|(_, nm)| (1.0..1e5).contains(&(rms_nm * nm)));
-    let likely = of_lengths.map(|(unit, nm)| format!(", but {:.3} nm if they are in {unit}", rms_nm * nm));
+    let waves = rms_nm / TAU;
+    let in_radians =
+        if waves > 1e-3 { format!(", and {waves:.3} waves if they are in radians") } else { String::new() };
+    let likely = of_lengths.map(|(unit, nm)| format!(", but {:.3} nm if they are in {unit}{in_radians}", rms_nm * nm));
     Some(format!("the RMS of the values as nm is {rms_nm:.2e}{}", likely.unwrap_or_default()))
 }
 
