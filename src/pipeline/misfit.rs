@@ -23,6 +23,15 @@ const SATURATED_PIXELS: usize = 4;
 /// reflectivities, NCPA of high order, shadows, rotation, another telescope) no shape explains more
 /// than 16 %; of a plate scale that is 5 % wrong a blur explains 53 %.
 const EXPLAINED_BY_SHAPE: f64 = 0.5;
+/// Largest variance of a pixel of little light, relative to the smallest, and fewest of them: with
+/// 400 the noise is known to 4 %.
+const MOST_DARK: f64 = 3.0;
+const FEWEST_DARK: usize = 400;
+/// Least χ² of such pixels, and part of the excess of all that it must explain. Noise has no
+/// correlation between neighbours; what the model lacks has.
+const LEAST_NOISE: f64 = 1.3;
+const EXPLAINED_BY_NOISE: f64 = 0.5;
+const MOST_CORRELATED: f64 = 0.2;
 /// Most derivatives that are held, 160 MB; shapes of the residual of a larger model are compared
 /// with what the modes absorb of them.
 const MAX_DERIVATIVES: usize = 20_000_000;
@@ -65,7 +74,10 @@ impl Case<'_> {
         // Another plate scale is a cause only where it explains nearly all. It comes before the
         // shapes of the residual, one of which may explain half of the residual of a wrong plate
         // scale.
-        let cause = match saturation(&found.compared, frame_e, bad) {
+        let area = self.model.preparation.native_pixels();
+        let stated_e = self.task.images.read_noise_e.or(self.task.scene.image.read_noise_e);
+        let noise = || stated_e.and_then(|stated_e| understated_noise(&found.compared, stated_e, area));
+        let cause = match saturation(&found.compared, frame_e, bad).or_else(noise) {
             Some(cause) => Some(cause),
             None => match self.other_optic(found)? {
                 Some(other) => Some(other.sentence(self.task.scene)),
@@ -205,6 +217,47 @@ fn shape(fitted: &FittedImage, native: f64, derivatives: Array2<f64>) -> Option<
     shape.filter(|shape| shape.share > EXPLAINED_BY_SHAPE).map(|shape| shape.sentence)
 }
 
+/// A read noise that is larger than `stated_e`, where that explains the residual: of pixels of
+/// little light, as noise without correlation, and of all. A model pixel is `area` of the detector.
+fn understated_noise(fitted: &FittedImage, stated_e: f64, area: f64) -> Option<String> {
+    let residual = &fitted.residual_sigma;
+    let variance_e2 = |at: (usize, usize)| ((fitted.data_e[at] - fitted.model_e[at]) / residual[at]).powi(2);
+    let known = residual.indexed_iter().filter(|(_, sigma)| sigma.is_finite() && **sigma != 0.0).map(|(at, _)| at);
+    let known: Vec<((usize, usize), f64)> = known.map(|at| (at, variance_e2(at))).collect();
+    let floor_e2 = known.iter().map(|(_, variance_e2)| *variance_e2).fold(f64::INFINITY, f64::min);
+    let dark: Vec<_> = known.iter().filter(|(_, variance_e2)| *variance_e2 < MOST_DARK * floor_e2).collect();
+    if dark.len() < FEWEST_DARK {
+        return None;
+    }
+    // With `times` the floor a pixel has χ² = 1 + (times − 1) floor/variance: by least squares.
+    let share = |variance_e2: f64| floor_e2 / variance_e2;
+    let excess = |at: (usize, usize)| residual[at].powi(2) - 1.0;
+    let (along, square) = dark.iter().fold((0.0, 0.0), |(along, square), (at, variance_e2)| {
+        (along + share(*variance_e2) * excess(*at), square + share(*variance_e2).powi(2))
+    });
+    let times = 1.0 + along / square;
+    let correlation = |[down, right]: [usize; 2]| {
+        let beside =
+            dark.iter().filter_map(|&&((y, x), _)| Some((residual[(y, x)], *residual.get((y + down, x + right))?)));
+        let (products, squares) = beside
+            .filter(|(_, other)| other.is_finite())
+            .fold((0.0, 0.0), |sums, (one, other)| (sums.0 + one * other, sums.1 + one * one));
+        products / squares
+    };
+    let is_white = [[0, 1], [1, 0]].into_iter().all(|other| correlation(other).abs() < MOST_CORRELATED);
+    let all = known.iter().map(|(at, _)| excess(*at)).sum::<f64>();
+    let explained = known.iter().map(|(_, variance_e2)| (times - 1.0) * share(*variance_e2)).sum::<f64>();
+    let is_it = times > LEAST_NOISE && is_white && explained > EXPLAINED_BY_NOISE * all;
+    is_it.then(|| {
+        let found_e = stated_e.hypot(((times - 1.0) * floor_e2 / area).sqrt());
+        format!(
+            "pixels of little light scatter by {:.2} times their noise: the read noise is {found_e:.2} e⁻ where {stated_e} are stated \
+             (image.read_noise_e, or RON_E of the file)",
+            times.sqrt()
+        )
+    })
+}
+
 /// Several pixels at one largest value, where the model has a peak.
 pub(super) fn saturation(fitted: &FittedImage, frame_e: ArrayView2<f64>, bad: ArrayView2<bool>) -> Option<String> {
     let good = || frame_e.iter().zip(&bad).filter(|(electrons, bad)| !**bad && electrons.is_finite());
@@ -243,7 +296,32 @@ mod tests {
         let residual_sigma = (&data_e - &model_e) / 2.5;
         let fitted = FittedImage { data_e: data_e.clone(), model_e, residual_sigma };
         saturation(&fitted, data_e.view(), Array2::from_elem((32, 32), false).view())
+            .or_else(|| understated_noise(&fitted, 2.5, 1.0))
             .or_else(|| shape(&fitted, 2.0, Array2::zeros((0, 1024))))
+    }
+
+    #[test]
+    fn a_read_noise_that_is_understated_is_named() {
+        // A star's light, and pixels without any, of whose noise 1 to 3 times the deviation is
+        // stated.
+        let noise = |y: usize, x: usize| 2.0_f64.sqrt() * ((31 * y * y + 17 * x * y + 7 * x * x) as f64).sin();
+        let cause = |times: f64, extra: &dyn Fn(usize, usize) -> f64| {
+            let model_e = Array2::from_shape_fn((64, 64), |(y, x)| spot(y, x, (32.0, 32.0)));
+            let sigma_e = model_e.mapv(|e| (100.0 + e).sqrt());
+            let scatter_e = model_e.mapv(|e| (100.0 * times * times + e).sqrt());
+            let at = |(y, x): (usize, usize)| scatter_e[(y, x)] * noise(y, x) + extra(y, x);
+            let residual_e = Array2::from_shape_fn((64, 64), at);
+            let residual_sigma = &residual_e / &sigma_e;
+            understated_noise(&FittedImage { data_e: &model_e + &residual_e, model_e, residual_sigma }, 10.0, 1.0)
+        };
+        assert_eq!(cause(1.0, &|_, _| 0.0), None);
+        let named = cause(3.0, &|_, _| 0.0).unwrap();
+        assert!(named.contains("image.read_noise_e") && named.contains("where 10 are stated"), "{named}");
+        let found_e = named.split("the read noise is ").nth(1).unwrap().split(' ').next().unwrap();
+        assert!((found_e.parse::<f64>().unwrap() - 30.0).abs() < 1.0, "{named}");
+        // Light that the model lacks is no noise.
+        assert_eq!(cause(1.0, &|y, x| 30.0 * (0.3 * (y + x) as f64).sin()), None);
+        assert_eq!(cause(1.0, &|y, x| 0.5 * spot(y, x, (30.0, 36.0))), None);
     }
 
     #[test]

@@ -265,13 +265,14 @@ fn nearest(fitter: &ModalFitter, coefficients_nm: &[f64], piston_nm: &[f64]) -> 
     });
     let mean_nm = sine.atan2(cosine) * wavelength_nm / std::f64::consts::TAU;
     let mut near_nm = coefficients_nm.to_vec();
-    for (near, off) in near_nm[..model.segment_modes].iter_mut().zip(&off) {
+    // Tips and tilts of segments, which follow their pistons, stay.
+    let pistons = model.segment_modes.min(model.telescope.pupil.segments.len());
+    for (near, off) in near_nm[..pistons].iter_mut().zip(&off) {
         *near -= wavelength_nm * ((off - mean_nm) / wavelength_nm).round();
     }
     // Each of them has moved the mean, which no image determines.
     let off_nm: f64 = near_nm.iter().zip(piston_nm).map(|(near, truth)| near - truth).sum();
-    let count = model.segment_modes.max(1) as f64;
-    near_nm[..model.segment_modes].iter_mut().for_each(|near| *near -= off_nm / count);
+    near_nm[..pistons].iter_mut().for_each(|near| *near -= off_nm / pistons.max(1) as f64);
     near_nm
 }
 
