@@ -150,16 +150,21 @@ fn error_bars_without_anything_left_out_stay_near_noise() {
 #[test]
 #[ignore = "merge: 6 s"]
 fn a_wrong_minimum_is_no_less_a_misfit() {
-    let large =
-        [("aberrations.segment_piston_rms_nm", "400"), ("aberrations.ncpa_rms_nm", "150"), ("aberrations.seed", "5")];
-    let found = estimate(&[("image.peak_snr", "30")], &large, true);
-    assert!(pulls(&found)[1] > 3.0, "{:?}", pulls(&found));
-    assert!(
-        found.status.word() == "misfit" && !found.warnings.is_empty(),
-        "{} {:?}",
-        found.status.word(),
-        found.warnings
-    );
+    let is_wrong = |seed: &&str| {
+        let large = [
+            ("aberrations.segment_piston_rms_nm", "700"),
+            ("aberrations.ncpa_rms_nm", "300"),
+            ("aberrations.seed", seed),
+        ];
+        let found = estimate(&[("image.peak_snr", "30"), ("estimate.restarts", "0")], &large, true);
+        // Ten times what the noise leaves: the error bars hold what the modes leave out of it.
+        let is_wrong = found.truth.as_ref().unwrap().1.rms_nm[1] > 90.0;
+        let is_flagged = found.status.word() != "ok" && !found.warnings.is_empty();
+        assert!(!is_wrong || is_flagged, "{seed}: {} {:?}", found.status.word(), found.warnings);
+        is_wrong
+    };
+    // Which of them end in a wrong minimum hangs on the last digits.
+    assert!(["1", "3", "5", "8"].into_iter().filter(is_wrong).count() > 1);
 }
 
 /// A slope by the fitted modes is one along shapes that change no image, too: where it was taken
