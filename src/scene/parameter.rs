@@ -412,7 +412,6 @@ static ROWS: &[Row] = &[
             step: |pupil, _| OBSCURATION_STEP * pupil.extent_m().unwrap_or(1.0),
             search: |pupil, _| shadow(pupil, pupil.central_obscuration_m, 0.5, 1e-2, 2.5e-4),
             least_fault: |_| 0.05,
-            ..USUAL
         }],
     },
     Row {
@@ -430,7 +429,6 @@ static ROWS: &[Row] = &[
             step: |pupil, _| SPIDER_STEP_M.min(0.5 * pupil.spider_width_m),
             search: |pupil, _| shadow(pupil, pupil.spider_width_m, 0.01, 1e-3, 5e-5),
             least_fault: |_| 0.005,
-            ..USUAL
         }],
     },
     Row {
