@@ -123,7 +123,8 @@ impl<'a> PlanSearch<'a> {
             }
         }
         let best = good.unwrap_or(from);
-        let kept = best.scene.estimate.samples.unwrap_or(own).to_string();
+        // Those that a larger defocus needs are more than the pupil's.
+        let kept = best.fitter.model().optics.sampling().samples.to_string();
         self.keep("estimate.samples", &kept);
         Ok(best)
     }

@@ -148,7 +148,7 @@ fn error_bars_without_anything_left_out_stay_near_noise() {
 
 /// What was left out explains a part of what χ² of a wrong minimum is above 1.
 #[test]
-#[ignore = "merge: 6 s"]
+#[ignore = "merge: 18 s"]
 fn a_wrong_minimum_is_no_less_a_misfit() {
     let is_wrong = |seed: &&str| {
         let large = [

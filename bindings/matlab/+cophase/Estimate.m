@@ -13,7 +13,7 @@ classdef Estimate < cophase.Handle
     %      ao_knowledge                   of the adaptive optics: 'nothing', 'spectrum', 'loop', 'telemetry'
     %      precision, evaluations         'f64' or 'f32'; evaluations of objective and gradient
     %      phasing_rms_nm, ncpa_rms_nm, wavefront_rms_nm        RMS over the pupil, piston, tip and tilt removed
-    %      phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm  their expected errors
+    %      phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm  their expected errors; the last of a MAP estimate is an upper limit
     %      reduced_chi2                   median of the images used
     %      images_to_halve                further images that halve both error bars; NaN if unknown
     %      map_width_m, seconds, model_seconds

@@ -87,7 +87,7 @@ class Estimate(Handle):
         ``has_settled``, ``ao_knowledge`` (of the adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``,
         ``"telemetry"``); ``precision``; ``evaluations``; ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm``
         (both together) and their expected errors ``phasing_sigma_nm``, ``ncpa_sigma_nm``, ``wavefront_sigma_nm`` (RMS
-        over the pupil, piston, tip and tilt removed); ``reduced_chi2`` (median of the images used);
+        over the pupil, piston, tip and tilt removed; the last of a MAP estimate is an upper limit); ``reduced_chi2`` (median of the images used);
         ``images_to_halve`` (further images that halve both error bars); ``map_width_m``; ``seconds``,
         ``model_seconds``; ``telemetry_gain`` and ``telemetry_correlation`` of the measured slopes with those of the
         retrieved wavefronts, about 1 where they belong together (NaN without telemetry); ``channels``, ``integers`` (their

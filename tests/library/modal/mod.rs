@@ -93,7 +93,8 @@ fn one_image_gives_both_maps_within_their_error_bars() {
 #[test]
 fn large_defocuses_are_fitted_on_more_samples() {
     let fitted = |waves: &str, samples: Option<&str>| {
-        let own = [("image.diversity_focus_waves_rms", waves)].into_iter();
+        // In a frame of 132 pixels the reduction of what its edge cuts off would leave a χ² of 1.3.
+        let own = [("image.diversity_focus_waves_rms", waves), ("image.pixels", "192")].into_iter();
         let own = own.chain(samples.map(|samples| ("estimate.samples", samples)));
         let scene = scene(&own.collect::<Vec<_>>());
         let made = source::simulate(&scene).unwrap();
@@ -108,8 +109,7 @@ fn large_defocuses_are_fitted_on_more_samples() {
     // They do not.
     let (few, more) = (fitted("1.2", Some("64")), fitted("1.2", None));
     assert!(few.0 == 64 && few.1 > 10.0, "{few:?}");
-    // What is left is the sampling of the truth.
-    assert!(more.0 > 64 && more.1 < 1.5 && more.2 < 1.8, "{more:?}");
+    assert!(more.0 > 64 && more.1 < 1.1 && more.2 < 1.8, "{more:?}");
 }
 
 #[test]

@@ -62,10 +62,13 @@ fn figures(estimate: &Estimate) -> String {
     let figure = |Figure { rms_nm, sigma_nm }: Figure| {
         if sigma_nm.is_finite() { format!("{rms_nm:.2} ± {sigma_nm:.2} nm") } else { format!("{rms_nm:.2} nm") }
     };
+    let both = figure(estimate.figures.wavefront);
+    // How the errors of both go together is not known there.
+    let both = if estimate.full_phase().is_some() { both.replace('±', "± at most") } else { both };
     let mut pairs = vec![
         ("phasing RMS", figure(estimate.figures.phasing)),
         ("NCPA RMS", figure(estimate.figures.ncpa)),
-        ("both RMS", figure(estimate.figures.wavefront)),
+        ("both RMS", both),
         ("reduced χ²", format!("{:.3}", estimate.reduced_chi2)),
         ("images used", format!("{} of {}", estimate.used(), estimate.images.len())),
         ("method", estimate.method.word().to_owned()),
