@@ -20,6 +20,11 @@ const HALF_TRANSITION: f64 = 8.0;
 pub(crate) const ABERRATION_CYCLES: f64 = 4.0;
 /// λ/D around the geometric spot that still carry signal worth fitting.
 pub(crate) const SPOT_MARGIN: f64 = 3.0;
+/// λ/D around the geometric spot that a frame must hold to be reduced: a reduction takes it for
+/// periodic, and light that is cut off at an edge rings. `keck-artificial` at a peak S/N of 500, 4
+/// pixels per λ/D: with 4 λ/D a reduced χ² of 1.18, with 6 of 1.09, with 12 and more of 1.05, and
+/// 1.01 where it is not reduced.
+const PERIODIC_MARGIN: f64 = 6.0;
 /// Least half-width of the fitted image, λ/D: without defocus the light of single segments still
 /// spreads this far.
 pub(crate) const LEAST_HALF_WIDTH: f64 = 16.0;
@@ -63,9 +68,9 @@ impl PixelPlan {
         let nyquist = frame.map(|pixels| pixels as f64 * 2.0 / frame_sampling);
         let whole = |pixels: f64| (pixels - pixels.round()).abs() < 1e-9 && (pixels.round() as usize).is_multiple_of(2);
         let spot = diversity.spot(pupil, image.wavelength_nm);
-        // A reduction takes the frame for periodic: light that is cut off at an edge would ring.
         let mut half_width = (spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
-        let is_cut = half_width > rows.min(columns) as f64 / (2.0 * frame_sampling);
+        let periodic = (spot + PERIODIC_MARGIN).max(LEAST_HALF_WIDTH);
+        let is_cut = periodic > rows.min(columns) as f64 / (2.0 * frame_sampling);
         let may_reduce = match recipe.sampling {
             Sampling::Auto => !is_cut,
             Sampling::Native => false,
