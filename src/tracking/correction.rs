@@ -12,9 +12,9 @@
 //! bars that it writes into the mirror. A block (segments, or NCPA, of error bars that are alike)
 //! whose gain is not positive, beyond the scatter that noise alone gives it, is left as it is.
 
-use super::threshold::normal_cdf;
 use crate::linear_algebra::SpdInverse;
 use crate::scene::{SegmentConvention, System};
+use crate::statistics::normal_cdf;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use std::f64::consts::PI;

@@ -55,7 +55,8 @@ fn outliers_are_found_and_predicted() {
     }
 }
 
-/// Two pixels in a hundred, each of 30 standard deviations or more: all are found, and no other.
+/// Two pixels in a hundred, each of 30 standard deviations or more: all are found, and of the
+/// others not more than the share that may be noise.
 #[test]
 fn one_pixel_in_fifty_is_found() {
     let scene = scene(&[]);
@@ -70,7 +71,13 @@ fn one_pixel_in_fifty_is_found() {
     let found = clean(&scene, &spoilt_e, &image_e.mapv(|_| false)).unwrap();
     let planted = spoilt_e.indexed_iter().filter(|(at, _)| is_spoilt(*at)).count();
     let missed = found.data_e.indexed_iter().filter(|(at, e)| is_spoilt(*at) && **e == spoilt_e[*at]).count();
-    assert_eq!((missed, found.rejected.total()), (0, planted));
+    let others = found.rejected.total() - planted;
+    // The expected number, and three times its scatter.
+    let expected = FALSE_SHARE * planted as f64;
+    assert!(missed == 0 && (others as f64) < expected + 3.0 * expected.sqrt(), "{missed} {others}");
+    // Few outliers leave the limit where it is; 2 Φ(−3.29) = 0.001.
+    assert_eq!([limit(1e-3), limit(0.1)], LIMITS);
+    assert!((limit(0.02) - 3.29).abs() < 0.011);
 }
 
 #[test]
