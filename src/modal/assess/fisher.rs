@@ -133,6 +133,20 @@ pub(in crate::modal) fn without(information: Array2<f64>, directions: &Array2<f6
     left
 }
 
+/// The `score` of the modes, g of g·x − ½ x·`information`·x, at the best amounts of `directions`
+/// (rows), each other mode as it is.
+pub(in crate::modal) fn score_without(
+    information: &Array2<f64>,
+    score: Array1<f64>,
+    directions: &Array2<f64>,
+) -> Array1<f64> {
+    let along = directions.dot(information);
+    let own = along.dot(&directions.t());
+    // No step along directions that change nothing.
+    let amounts = pseudo_inverse(&own, NULL_FLOOR).map(|inverse| inverse.dot(&directions.dot(&score)));
+    amounts.map_or(score.clone(), |amounts| score - along.t().dot(&amounts))
+}
+
 /// Number of directions of `information` whose eigenvalue is above `floor`, as [`pseudo_inverse`]
 /// has it; 0 where none is.
 pub(in crate::modal) fn rank(information: &Array2<f64>, floor: f64) -> usize {
@@ -145,4 +159,26 @@ fn scaled_metric(matrix: &Array2<f64>, floor: f64) -> Result<(Metric, Array1<f64
     let scale = matrix.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
     let scaled = matrix * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));
     Ok((Metric::from_gauss_newton(&scaled, floor)?, scale))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn scores_are_taken_at_the_best_amounts_of_the_directions() {
+        let information = array![[4.0, 1.0, 0.5], [1.0, 3.0, -0.2], [0.5, -0.2, 2.0]];
+        let directions = array![[1.0, 0.5, 0.0], [0.0, 0.0, 0.0]];
+        let score = array![0.3, -1.0, 0.7];
+        let left = score_without(&information, score.clone(), &directions);
+        // No slope is left along the direction, and one that changes nothing takes none.
+        assert!(directions.dot(&left).iter().all(|slope| slope.abs() < 1e-14), "{left}");
+        let amount = directions.row(0).dot(&score) / directions.row(0).dot(&information.dot(&directions.row(0)));
+        let expected = &score - &information.dot(&directions.row(0)) * amount;
+        assert!((&left - &expected).iter().all(|off| off.abs() < 1e-14), "{left} {expected}");
+        // A change along the direction alone leaves nothing.
+        let along = information.dot(&directions.row(0));
+        assert!(score_without(&information, along, &directions).iter().all(|slope| slope.abs() < 1e-14));
+    }
 }

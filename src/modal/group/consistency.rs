@@ -8,7 +8,7 @@
 //! Directions of which an image knows little cannot contradict, and are left out.
 
 use crate::Result;
-use crate::modal::assess::fisher::{null_floor, root_of_pseudo_inverse, without};
+use crate::modal::assess::fisher::{null_floor, root_of_pseudo_inverse, score_without, without};
 use crate::modal::group::fit::Group;
 use crate::optimize::Metric;
 use ndarray::{Array1, Array2};
@@ -37,7 +37,12 @@ pub(super) fn consistency(
 ) -> Result<Consistency> {
     let tilts = group.unknowns.tilts();
     let shared = group.unknowns.shared();
-    let each = each.iter().map(|own| without(own.clone(), &tilts)).zip(scores).collect::<Vec<_>>();
+    let of_image = |(own, score): (&Array2<f64>, Array1<f64>)| {
+        // The own tip and tilt of an image take up what is along them.
+        let score = score_without(own, score, &tilts);
+        (without(own.clone(), &tilts), score)
+    };
+    let each = each.iter().zip(scores).map(of_image).collect::<Vec<_>>();
     let all = each.iter().fold(Array2::zeros((shared, shared)), |sum, (own, _)| sum + own);
     let root = root_of_pseudo_inverse(&all, null_floor(shared, group.pixels()))?;
     let (mut chi2, mut freedom, mut of_each) = (0.0, 0.0, Vec::new());
