@@ -74,9 +74,9 @@ pub(crate) struct GroupEstimate {
     pub(crate) minima: Minima,
     /// Whether every image that is fitted can be used, and one wavefront explains all.
     pub(crate) is_explained: bool,
-    /// Channel and number of the image that differs most from the wavefront of all, and the reduced
-    /// χ² of its difference; `None` for fewer than three images.
-    pub(crate) most_different: Option<([usize; 2], f64)>,
+    /// Channel and number of each image that was fitted, and the reduced χ² of its difference from
+    /// the wavefront of all: the largest first; none for fewer than three images.
+    pub(crate) differences: Vec<([usize; 2], f64)>,
 }
 
 /// Fits the images of all `channels` of `scene` together, and marginalises what the modes leave
@@ -127,8 +127,12 @@ pub(crate) fn estimate_group(
     let fitted = channels.iter().flat_map(|channel| &channel.fitted).filter(|is_fitted| **is_fitted).count();
     let is_whole = found.group.members.len() == fitted;
     let is_explained = is_whole && found.is_explained() && !joint.is_contradictory();
-    let differences = found.group.members.iter().map(|member| member.place).zip(differences.iter().copied());
-    let most_different = differences.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| found.best.minima.len() > 2);
+    let mut differences: Vec<_> =
+        found.group.members.iter().map(|member| member.place).zip(differences.iter().copied()).collect();
+    differences.sort_by(|a, b| b.1.total_cmp(&a.1));
+    if differences.len() < 3 {
+        differences.clear();
+    }
     let mut estimates = Vec::new();
     for (mut fitter, fits) in fitters.into_iter().zip(fits) {
         if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| reason_of_none(&fits)) {
@@ -143,7 +147,7 @@ pub(crate) fn estimate_group(
             if estimates.iter().any(std::result::Result::is_ok) { 0.0 } else { started.elapsed().as_secs_f64() };
         estimates.push(Ok((fitter, own)));
     }
-    Ok(GroupEstimate { joint, channels: estimates, minima: found.minima, is_explained, most_different })
+    Ok(GroupEstimate { joint, channels: estimates, minima: found.minima, is_explained, differences })
 }
 
 /// The joint estimate of images that were fitted alone by `fitters` of the channels of `scene`,

@@ -7,8 +7,10 @@ use super::modal_task::Fitted;
 use super::policy::Policy;
 use super::warnings::group_warnings;
 use crate::control::{Control, Stage};
-use crate::modal::{self, GroupChannel, GroupEstimate, JointEstimate, Minima, Search, are_determined, is_weak};
-use crate::scene::{DeviceChoice, Grouping, Optic, Precision, Scene, Weighting};
+use crate::modal::{
+    self, GroupChannel, GroupEstimate, JointEstimate, Minima, ModalFitter, Search, Status, are_determined, is_weak,
+};
+use crate::scene::{Combine, DeviceChoice, Grouping, Optic, Precision, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
 use std::time::Instant;
@@ -151,8 +153,6 @@ pub(super) fn estimate(
     let strong = channels.iter().zip(&together.weak).filter(|(_, is_weak)| !**is_weak);
     let strong: Vec<&ChannelImages> = strong.map(|(channel, _)| channel).collect();
     let alone = Channels::new(scene, policy, control, &strong)?;
-    let marginalise = policy.recipe(scene).marginalise;
-    let task = GroupTask { scene, policy, control, channels, together, which, marginalise, started };
     let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
     let is_near_known = match strong.len() {
         0 => false,
@@ -160,19 +160,21 @@ pub(super) fn estimate(
         _ => true,
     };
     let near = is_near_known.then(|| alone.fit(None)).transpose()?;
+    let task = GroupTask::new((scene, policy, control), (channels, together), near.as_ref(), started)?;
     if !together.may_be_alone {
         let near = near.filter(|(_, near)| !near.is_contradictory());
-        return task.estimate(task.fit(near.as_ref(), together.search())?);
+        let found = task.fit(&which, near.as_ref().map(|(_, near)| near), together.search())?;
+        return task.estimate(task.without_foreign(&found)?.unwrap_or(found));
     }
     let near = match near {
         Some(near) => near,
         None => {
-            let mut found = task.fit(None, Search::First)?;
+            let mut found = task.fit(&which, None, Search::First)?;
             let mut is_right = !found.group.minima.is_suspicious;
             if !is_right && task.marginalise && found.group.is_explained {
                 // χ² that the step leaves of an error may be that of another minimum: other starts
                 // show which.
-                found = task.fit(None, Search::IfNeeded)?;
+                found = task.fit(&which, None, Search::IfNeeded)?;
                 is_right = found.group.minima.in_best > 1;
             }
             if found.group.is_explained && is_right {
@@ -185,9 +187,20 @@ pub(super) fn estimate(
     if near.1.is_contradictory() && !task.marginalise {
         return alone.estimate(near);
     }
-    let found = task.fit(Some(&near), Search::First)?;
-    if found.group.is_explained { task.estimate(found) } else { alone.estimate(near) }
+    let found = task.fit(&which, Some(&near.1), Search::First)?;
+    match task.without_foreign(&found)? {
+        Some(others) => task.estimate(others),
+        None if found.group.is_explained => task.estimate(found),
+        None => alone.estimate(near),
+    }
 }
+
+/// Number of images that are tried as the one of another wavefront: the most different of a group
+/// is not always it.
+const TRIED: usize = 3;
+/// How much larger than the median the difference of an image of another wavefront is. An error of
+/// the model makes all images differ alike: those of a bench by 0.5 to 2 times their median.
+const FOREIGN: f64 = 3.0;
 
 /// An estimate of images that are fitted together.
 struct GroupTask<'a> {
@@ -195,29 +208,35 @@ struct GroupTask<'a> {
     policy: &'a Policy,
     control: &'a Control,
     channels: &'a [ChannelImages<'a>],
-    together: &'a Together,
-    /// Which images of each channel are fitted.
-    which: Vec<Vec<bool>>,
+    /// Scene and fitter of each channel.
+    own: Vec<(Scene, ModalFitter)>,
     /// Whether what the modes leave out is marginalised.
     marginalise: bool,
     started: Instant,
+    model_seconds: f64,
 }
 
 /// What a fit of a group finds.
 struct GroupFit {
     group: GroupEstimate,
-    /// The scene of each channel.
-    scenes: Vec<Scene>,
-    model_seconds: f64,
+    /// Which images of each channel were fitted.
+    which: Vec<Vec<bool>>,
+    /// Channel and number of those that were left out because they are of another wavefront.
+    foreign: Vec<[usize; 2]>,
 }
 
-impl GroupTask<'_> {
-    /// Fits the images, near the wavefront of those that were fitted alone.
-    fn fit(&self, near: Option<&(Vec<Fitted>, JointEstimate)>, search: Search) -> Result<GroupFit> {
+impl<'a> GroupTask<'a> {
+    /// The task of fitting the images of `channels`, of which those that determine the wavefront
+    /// have the fits `near`.
+    fn new(
+        (scene, policy, control): (&'a Scene, &'a Policy, &'a Control),
+        (channels, together): (&'a [ChannelImages<'a>], &'a Together),
+        near: Option<&(Vec<Fitted>, JointEstimate)>,
+        started: Instant,
+    ) -> Result<Self> {
         let began = Instant::now();
         let mut known = near.iter().flat_map(|(fits, _)| fits).peekable();
-        let each = self.channels.iter().zip(&self.which).zip(&self.together.weak);
-        let own = each.map(|((channel, fitted), is_weak)| {
+        let own = channels.iter().zip(&together.weak).map(|(channel, is_weak)| {
             let own = channel.scene.changed(|sections| {
                 sections.estimate.fit_optics.clear();
                 sections.estimate.group = Grouping::Each;
@@ -226,27 +245,72 @@ impl GroupTask<'_> {
             })?;
             let fitter = match known.next_if(|_| !is_weak) {
                 Some(fitted) => fitted.fit.0.clone(),
-                None => modal::fitter_for(&own, self.policy.recipe(&own), &channel.cache, channel.images.cube())?,
+                None => modal::fitter_for(&own, policy.recipe(&own), &channel.cache, channel.images.cube())?,
             };
-            self.control.check("the models were built in part, no image was fitted")?;
-            let name = channel.name.unwrap_or_default().to_owned();
-            Ok((own, GroupChannel { name, fitter, cube: channel.images.cube(), fitted: fitted.clone() }))
+            control.check("the models were built in part, no image was fitted")?;
+            Ok((own, fitter))
         });
-        let (scenes, members): (Vec<Scene>, Vec<GroupChannel>) = own.collect::<Result<Vec<_>>>()?.into_iter().unzip();
-        let model_seconds = began.elapsed().as_secs_f64();
-        let near_nm = near.map(|(_, near)| near.modes.coefficients_nm.as_slice());
-        let mut group = modal::estimate_group(self.scene, members, (near_nm, search), self.marginalise, self.control)?;
-        group.joint.integers = near.map(|(_, near)| near.integers.clone()).unwrap_or_default();
+        let own = own.collect::<Result<Vec<_>>>()?;
+        let (marginalise, model_seconds) = (policy.recipe(scene).marginalise, began.elapsed().as_secs_f64());
+        Ok(Self { scene, policy, control, channels, own, marginalise, started, model_seconds })
+    }
+
+    /// Fits the images `which`, near a wavefront that some of them show.
+    fn fit(&self, which: &[Vec<bool>], near: Option<&JointEstimate>, search: Search) -> Result<GroupFit> {
+        let members = self.channels.iter().zip(&self.own).zip(which).map(|((channel, (_, fitter)), fitted)| {
+            let name = channel.name.unwrap_or_default().to_owned();
+            GroupChannel { name, fitter: fitter.clone(), cube: channel.images.cube(), fitted: fitted.clone() }
+        });
+        let near_nm = near.map(|near| near.modes.coefficients_nm.as_slice());
+        let how = (near_nm, search);
+        let mut group = modal::estimate_group(self.scene, members.collect(), how, self.marginalise, self.control)?;
+        group.joint.integers = near.map(|near| near.integers.clone()).unwrap_or_default();
         self.control.check("the images were fitted, nothing was written")?;
-        Ok(GroupFit { group, scenes, model_seconds })
+        Ok(GroupFit { group, which: which.to_vec(), foreign: Vec::new() })
+    }
+
+    /// The fit without the images of another wavefront than the others: fewer than a third of all,
+    /// without which one wavefront explains the others; `None` where there are none such.
+    fn without_foreign(&self, found: &GroupFit) -> Result<Option<GroupFit>> {
+        if !found.group.joint.is_contradictory() || self.policy.recipe(self.scene).combine != Combine::ClippedMean {
+            return Ok(None);
+        }
+        let most = found.group.differences.len().saturating_sub(1) / 3;
+        let (mut which, mut foreign, mut differences) =
+            (found.which.clone(), Vec::new(), found.group.differences.clone());
+        while foreign.len() < most {
+            let chi2: Vec<f64> = differences.iter().map(|(_, chi2)| *chi2).collect();
+            let limit = FOREIGN * median(&chi2);
+            let mut tried = Vec::new();
+            for (place, _) in differences.iter().take(TRIED).filter(|(_, chi2)| *chi2 > limit) {
+                let mut others = which.clone();
+                others[place[0]][place[1]] = false;
+                let fit = self.fit(&others, Some(&found.group.joint), Search::IfNeeded)?;
+                let is_one = !fit.group.joint.is_contradictory();
+                tried.push((*place, fit));
+                if is_one {
+                    break;
+                }
+            }
+            let order =
+                |a: &GroupFit, b: &GroupFit| a.group.joint.disagreement.0.total_cmp(&b.group.joint.disagreement.0);
+            let Some((place, fit)) = tried.into_iter().min_by(|(_, a), (_, b)| order(a, b)) else { break };
+            foreign.push(place);
+            if !fit.group.joint.is_contradictory() {
+                return Ok(Some(GroupFit { foreign, ..fit }));
+            }
+            (which, differences) = (fit.which, fit.group.differences);
+        }
+        Ok(None)
     }
 
     /// The estimate from a fit.
     fn estimate(&self, found: GroupFit) -> Result<Estimate> {
-        let GroupFit { group, scenes, model_seconds } = found;
-        let GroupEstimate { joint, channels: fits, minima, most_different, .. } = group;
+        let GroupFit { group, which, foreign } = found;
+        let GroupEstimate { joint, channels: fits, minima, differences, .. } = group;
         let (mut each, mut used, mut refused, mut compared) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (((fit, own), channel), fitted) in fits.into_iter().zip(scenes).zip(self.channels).zip(&self.which) {
+        for (number, (fit, fitted)) in fits.into_iter().zip(&which).enumerate() {
+            let (channel, (own, _)) = (&self.channels[number], &self.own[number]);
             let fit = match fit {
                 Ok(fit) => fit,
                 Err(reason) => {
@@ -256,12 +320,16 @@ impl GroupTask<'_> {
                 }
             };
             let scene = own.adopting(fit.0.scene())?;
-            let model_seconds = if each.is_empty() { model_seconds } else { 0.0 };
+            let model_seconds = if each.is_empty() { self.model_seconds } else { 0.0 };
             let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
             let mut own = fit.into_estimate(self.policy)?;
-            for (image, _) in own.images.iter_mut().zip(fitted).filter(|(_, is_fitted)| !**is_fitted) {
+            let outcomes = own.images.iter_mut().zip(fitted).enumerate();
+            for (place, (image, _)) in outcomes.filter(|(_, (_, is_fitted))| !**is_fitted) {
                 image.is_used = false;
-                if image.report.reduced_chi2.is_finite() {
+                if foreign.contains(&[number, place]) {
+                    image.is_clipped = true;
+                    image.message = "of another wavefront than the others".into();
+                } else if image.report.reduced_chi2.is_finite() {
                     compared.push(image.report.reduced_chi2);
                     let reason = if image.message.is_empty() { String::new() } else { format!("; {}", image.message) };
                     image.message = format!("compared with the wavefront of other images{reason}");
@@ -270,20 +338,37 @@ impl GroupTask<'_> {
             each.push(own);
             used.push(channel);
         }
-        let is_contradictory = joint.is_contradictory();
+        let most_different = differences.first().filter(|_| joint.is_contradictory());
         let mut estimate = combined(self.scene, joint, names(&used), each)?;
-        estimate.run.seconds = self.started.elapsed().as_secs_f64() - model_seconds;
+        estimate.run.seconds = self.started.elapsed().as_secs_f64() - self.model_seconds;
         estimate.warnings.splice(0..0, refused);
-        if let Some(([channel, image], chi2)) = most_different.filter(|_| is_contradictory) {
-            let of = self.channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
+        if let Some((place, chi2)) = most_different {
             estimate.warnings.push(format!(
-            "image {image}{of} differs most from the wavefront of all: the reduced χ² of its difference is {chi2:.1}"
-        ));
+                "{} differs most from the wavefront of all: the reduced χ² of its difference is {chi2:.1}",
+                self.named(*place)
+            ));
         }
-        estimate.warnings.splice(0..0, group_warnings(&estimate.images));
+        if !foreign.is_empty() {
+            let named: Vec<String> = foreign.iter().map(|place| self.named(*place)).collect();
+            let (are, were) = if named.len() == 1 { ("is", "was") } else { ("are", "were") };
+            estimate.warnings.push(format!(
+                "{} {are} of another wavefront than the others, which agree with each other, and {were} left out",
+                named.join(", ")
+            ));
+        }
+        // Of an image that is left out its warning has everything.
+        let kept: Vec<_> = estimate.images.iter().filter(|image| !image.is_clipped).collect();
+        estimate.status = *Status::worst(kept.iter().map(|image| &image.report.status));
+        estimate.warnings.splice(0..0, group_warnings(&kept));
         estimate.warnings.extend(warnings(&minima));
         estimate.remarks.insert(0, remark(&estimate, &compared, &minima));
         Ok(estimate)
+    }
+
+    /// The image of a channel, for a sentence.
+    fn named(&self, [channel, image]: [usize; 2]) -> String {
+        let of = self.channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
+        format!("image {image}{of}")
     }
 }
 

@@ -46,7 +46,7 @@ const NAMED_MODES: usize = 6;
 const NAMED_COMBINATIONS: usize = 3;
 
 /// Warnings on images of one wavefront that were fitted together.
-pub(super) fn group_warnings(images: &[ImageOutcome]) -> Vec<String> {
+pub(super) fn group_warnings(images: &[&ImageOutcome]) -> Vec<String> {
     let mut sentences = Vec::new();
     let of = |word: &str| images.iter().filter(|image| image.report.status.word() == word).collect::<Vec<_>>();
     let misfits: Vec<f64> =

@@ -115,17 +115,40 @@ fn images_that_are_not_fitted_are_predicted() {
     assert!(found.images[3].report.reduced_chi2 > 5.0, "{}", found.images[3].report.reduced_chi2);
 }
 
+/// `images` with those of `other` at `places`.
+fn with_images_of(images: &Images, other: &Images, places: &[usize]) -> Images {
+    let mut images = Images { scene: None, ..images.clone() };
+    for &place in places {
+        images.images_e.index_axis_mut(Axis(0), place).assign(&other.images_e.index_axis(Axis(0), place));
+    }
+    images
+}
+
 #[test]
-fn an_image_of_another_wavefront_is_named() {
+fn images_of_another_wavefront_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
-    let scene = in_focus(folder.path(), &[]);
-    let mut images = Images::simulated(&scene).unwrap();
-    let other = in_focus(folder.path(), &[("aberrations.segment_piston_rms_nm", "100")]);
-    let other = Images::simulated(&other).unwrap();
-    images.images_e.slice_mut(ndarray::s![3, .., ..]).assign(&other.images_e.slice(ndarray::s![3, .., ..]));
-    let found = estimate(&scene, &images);
-    let says = |part: &str| found.warnings.iter().any(|warning| warning.contains(part));
-    assert!(says("contradict each other") && says("image 0 of channel map 2 differs most"), "{:?}", found.warnings);
+    let planes =
+        [("image.diversity_planes", "[-1, 0, 1, 2, 3, 0, 2]"), ("image.count", "7"), ("image.peak_snr", "500")];
+    let scene = in_focus(folder.path(), &planes);
+    let images = Images::simulated(&scene).unwrap();
+    let other = Images::simulated(&scene.with(&[("aberrations.ncpa_rms_nm", "100")]).unwrap()).unwrap();
+    let says = |found: &Estimate, part: &str| found.warnings.iter().any(|warning| warning.contains(part));
+    // Planes 2 and 3: channels map 2 and map 3.
+    let found = estimate(&scene, &with_images_of(&images, &other, &[3, 4]));
+    let clipped = found.images.iter().filter(|image| image.is_clipped && !image.is_used).count();
+    assert_eq!((clipped, found.warnings.len(), found.status), (2, 1, cophase::Status::Ok), "{:?}", found.warnings);
+    for name in ["image 0 of channel map 2", "image 0 of channel map 3", "were left out"] {
+        assert!(says(&found, name), "{name}: {:?}", found.warnings);
+    }
+    assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));
+    // A third and more of the images: which wavefront is meant is not known.
+    let found = estimate(&scene, &with_images_of(&images, &other, &[1, 3, 4]));
+    assert!(says(&found, "contradict each other") && says(&found, "differs most"), "{:?}", found.warnings);
+    assert!(found.images.iter().all(|image| image.is_used));
+    // A mean leaves nothing out.
+    let mean = scene.with(&[("estimate.combine", "mean")]).unwrap();
+    let found = estimate(&mean, &with_images_of(&images, &other, &[3]));
+    assert!(says(&found, "contradict each other") && found.images[3].is_used, "{:?}", found.warnings);
 }
 
 /// What the modes leave out moves tip and tilt of each image, which are its own: they took 8 of 36
