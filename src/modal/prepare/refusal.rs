@@ -60,7 +60,7 @@ impl fmt::Display for Refusal {
                 write!(f, "has no positive pixel: the largest value is {largest}, and electrons are needed")
             }
             Self::NoStar { flux_e } => {
-                write!(f, "holds no star: its flux above the border's level is {flux_e:.3e}, and must be positive")
+                write!(f, "holds no star: its flux above the border's level is {flux_e:.3e}, and no pixel is six noises above it")
             }
             Self::NegativeStar { flux_e } => write!(
                 f,

@@ -118,6 +118,26 @@ fn frames_without_a_star_are_refused_with_the_reason() {
 }
 
 #[test]
+fn noise_of_the_frame_does_not_hide_a_faint_star() {
+    // Noise that is negative by chance takes all light of a star whose brightest pixel is seen.
+    let frame = |peak_e: f64| {
+        Array2::from_shape_fn((32, 32), |(v, u)| match (v, u) {
+            (16, 16) => peak_e,
+            (2..30, 2..30) => -2.0 + ((7 * v + 3 * u) % 5) as f64 / 10.0,
+            _ => 0.0,
+        })
+    };
+    let prepared = |peak_e: f64| {
+        let (data, bad) = (frame(peak_e), Array2::from_elem((32, 32), false));
+        let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: Some(30.0) };
+        plan(32, 32, 32).prepare(frame, &Recipe { reject_outliers: false, ..recipe() }).map(drop)
+    };
+    assert!(prepared(600.0).is_ok());
+    let error = prepared(150.0).unwrap_err().to_string();
+    assert!(error.contains("no star") && error.contains("six noises"), "{error}");
+}
+
+#[test]
 fn rectangular_frames_keep_their_axis_in_flip_and_crop() {
     // 48 pixels along x, 32 along y: the axis on [24, 16].
     let (width, height) = (48, 32);
