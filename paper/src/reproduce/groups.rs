@@ -139,7 +139,7 @@ impl GroupRow {
 }
 
 /// Writes shapes of `rms_nm`, random combinations of the Zernikes of Noll 4 to 11.
-fn write_shapes(path: &Path, rms_nm: f64) -> Result<()> {
+pub(super) fn write_shapes(path: &Path, rms_nm: f64) -> Result<()> {
     let mut rng = stream(1, 0);
     let mut shapes = Array3::zeros((SHAPES, SAMPLES, SAMPLES));
     for mut shape in shapes.outer_iter_mut() {

@@ -4,8 +4,9 @@ use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
     ChannelRow, CheckRow, FaultRow, GroupRow, HardCase, MovingRow, Options, Progress, PullRow, PyramidParts, Report,
-    artificial_source, bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, faults, groups,
-    hard_cases, image_numbers, moving_star, night, observations, on_sky, petals, pulls, pyramid, samples,
+    WavefrontRow, artificial_source, bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, faults,
+    groups, hard_cases, image_numbers, moving_star, night, observations, on_sky, one_wavefront, petals, pulls, pyramid,
+    samples,
 };
 use cophase::pipeline::Control;
 use cophase::pipeline::Part;
@@ -45,6 +46,8 @@ pub enum Target {
     BadPixels,
     /// Images that are fitted together.
     Groups,
+    /// Images of one wavefront, and some of another.
+    OneWavefront,
     /// Residual over error bar against brightness and number of images.
     Pulls,
     /// Several images of one wavefront: pairs and colours.
@@ -67,7 +70,7 @@ pub enum Target {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 24] = [
+    pub const ALL: [Target; 25] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -83,6 +86,7 @@ impl Target {
         Target::Faults,
         Target::BadPixels,
         Target::Groups,
+        Target::OneWavefront,
         Target::Pulls,
         Target::Channels,
         Target::Checks,
@@ -115,6 +119,7 @@ impl Target {
             Target::Faults => "faults",
             Target::BadPixels => "bad-pixels",
             Target::Groups => "groups",
+            Target::OneWavefront => "one-wavefront",
             Target::Pulls => "pulls",
             Target::Channels => "channels",
             Target::Checks => "checks",
@@ -153,6 +158,9 @@ impl Target {
             Target::Groups => {
                 "images in focus with shapes of a mirror, weak defocus: fitted together, is the minimum the right one?"
             }
+            Target::OneWavefront => {
+                "images of one wavefront, clean or with some of another: how often flagged, and is it said?"
+            }
             Target::Pulls => {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
@@ -181,7 +189,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
-            Target::BadPixels | Target::Groups => 20,
+            Target::BadPixels | Target::Groups | Target::OneWavefront => 20,
             Target::Samples | Target::HardCases | Target::Observations | Target::Checks | Target::Petals => 8,
             Target::Diversity => 6,
             // Of 670 rows.
@@ -246,6 +254,7 @@ impl Target {
                 | Target::MovingStar
                 | Target::Petals
                 | Target::Groups
+                | Target::OneWavefront
                 | Target::Beyond
         )
     }
@@ -284,6 +293,10 @@ impl Target {
             Target::BadPixels => run.end(bad_pixels(seeds, quick, progress)?, |found, to| found.report(to)),
             Target::Groups => {
                 let found = groups(&GroupRow::named(rows)?, seeds, &options.directory, progress)?;
+                run.end(found, |found, to| found.report(to))
+            }
+            Target::OneWavefront => {
+                let found = one_wavefront(&WavefrontRow::named(rows)?, seeds, &options.directory, progress)?;
                 run.end(found, |found, to| found.report(to))
             }
             Target::Pulls => run.end(pulls(&PullRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),

@@ -14,6 +14,7 @@ mod leak;
 mod metrics;
 mod moving_star;
 mod night_table;
+mod one_wavefront;
 mod pages;
 mod paper;
 mod pulls;
