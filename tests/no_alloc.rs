@@ -92,7 +92,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 
 /// Runs everything that promises not to allocate, on a thread that has never run any of it.
 fn silent(scene: &Scene, precision: Precision) {
-    let images_e = source::simulate(scene).unwrap().images_e;
+    let images_e = source::simulate(scene).unwrap().remove(0).images_e;
     let estimator = Arc::new(ModalFitter::new(scene, false).unwrap());
     let modes = estimator.model().optics.modes();
     let options = SessionOptions { capacity: 5, precision: Some(precision), ..SessionOptions::default() };
@@ -171,9 +171,9 @@ fn frames_whose_sampling_is_reduced() {
 fn frames_that_are_not_square() {
     let (columns, rows) = (("image.pixels", "132"), ("image.rows", "120"));
     silent(&scene(&[("image.samples_per_lambda_over_d", "3"), columns, rows]), Precision::F64);
-    let reduced = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176"), ("image.rows", "144")]);
+    let reduced = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176"), ("image.rows", "168")]);
     let preparation = ModalFitter::new(&reduced, false).unwrap().model().preparation;
-    assert_eq!((preparation.frame, preparation.reduced), ([176, 144], [88, 72]));
+    assert_eq!((preparation.frame, preparation.reduced), ([176, 168], [88, 84]));
     silent(&reduced, Precision::F64);
 }
 
@@ -189,7 +189,7 @@ fn the_objective_without_weights() {
 fn sessions_of_several_channels() {
     for channel in ["diversity_focus_waves_rms = -0.8", "wavelength_nm = 1640.0"] {
         let scene = channels(channel);
-        let images_e = source::simulate_channels(&scene).unwrap();
+        let images_e = source::simulate(&scene).unwrap();
         let fitters = ChannelFitters::new(&scene).unwrap();
         let mut session = Session::new(fitters, &SessionOptions { capacity: 2, ..SessionOptions::default() }).unwrap();
         for (group, channel) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
@@ -232,7 +232,7 @@ fn input<T>(values: &[T], element: i32, shape: [usize; 3]) -> cophase_input {
 #[test]
 fn the_calls_of_a_session_of_several_channels_marked_rt() {
     let scene = channels("diversity_focus_waves_rms = -0.8");
-    let images_e = source::simulate_channels(&scene).unwrap();
+    let images_e = source::simulate(&scene).unwrap();
     let cubes: Vec<Vec<f64>> = images_e.iter().map(|made| made.images_e.iter().copied().collect()).collect();
     let frames: Vec<cophase_input> = cubes.iter().map(|cube| input(cube, COPHASE_F64, [1, 132, 132])).collect();
     let text = CString::new(scene.text()).unwrap();
@@ -279,7 +279,7 @@ fn the_calls_of_a_session_of_several_channels_marked_rt() {
 
 /// What a camera would deliver: whole numbers, three electrons each, over a dark level.
 fn raw(scene: &Scene) -> Vec<u16> {
-    let images_e = source::simulate(scene).unwrap().images_e;
+    let images_e = source::simulate(scene).unwrap().remove(0).images_e;
     images_e.iter().map(|electrons| (electrons / 3.0 + 100.0).round() as u16).collect()
 }
 

@@ -60,7 +60,11 @@ impl fmt::Display for Refusal {
                 write!(f, "has no positive pixel: the largest value is {largest}, and electrons are needed")
             }
             Self::NoStar { flux_e } => {
-                write!(f, "holds no star: its flux above the border's level is {flux_e:.3e}, and no pixel is six noises above it")
+                write!(
+                    f,
+                    "holds no star: its flux above the border's level is {flux_e:.3e}, where that of a star is positive, or is lost \
+                     in the noise of the frame beside a pixel of six noises and more"
+                )
             }
             Self::NegativeStar { flux_e } => write!(
                 f,

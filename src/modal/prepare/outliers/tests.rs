@@ -13,7 +13,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 }
 
 fn images(scene: &Scene) -> Array3<f64> {
-    source::simulate(scene).unwrap().images_e
+    source::simulate(scene).unwrap().remove(0).images_e
 }
 
 fn clean(scene: &Scene, data_e: &Array2<f64>, bad: &Array2<bool>) -> Option<CleanedFrame> {
