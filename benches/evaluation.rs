@@ -57,7 +57,7 @@ fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> {
 }
 
 fn exposure(scene: &Scene, estimator: &ModalFitter) -> Exposure {
-    let made = source::simulate(scene).expect("the scene can be imaged");
+    let made = source::simulate(scene).expect("the scene can be imaged").remove(0);
     let bad = made.images_e.mapv(|_| false);
     let frame = Frame {
         data_e: made.images_e.index_axis(ndarray::Axis(0), 0),

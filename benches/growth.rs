@@ -177,7 +177,7 @@ fn measure(point: &Point) -> Found {
     let estimator = ModalFitter::new(&scene, false).expect("the scene has a model");
     let model_s = started.elapsed().as_secs_f64();
     let modes = estimator.model().optics.modes();
-    let images_e = source::simulate(&scene).expect("the scene can be imaged").images_e;
+    let images_e = source::simulate(&scene).expect("the scene can be imaged").remove(0).images_e;
     let bad = images_e.mapv(|_| false);
     let before = resident("VmRSS:");
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);

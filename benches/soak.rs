@@ -51,7 +51,7 @@ fn main() {
         exit(2);
     };
     let scene = Scene::from_text(SCENE, std::path::Path::new("")).expect("the scene is valid");
-    let frames = source::simulate(&scene).expect("the scene can be imaged").images_e;
+    let frames = source::simulate(&scene).expect("the scene can be imaged").remove(0).images_e;
     let estimator = Arc::new(ModalFitter::new(&scene, false).expect("the scene has a model"));
     let mut session = Session::new(estimator, &SessionOptions::default()).expect("a session has room");
 

@@ -152,4 +152,4 @@ pub use modal::{
 };
 pub use pipeline::{Control, Estimate, Estimator, Images, Policy};
 pub use scene::{Channel, Scene};
-pub use source::{SourceImages, Truth, simulate, simulate_channels};
+pub use source::{SourceImages, Truth, simulate};

@@ -2,11 +2,11 @@
 
 mod common;
 
+use common::source_images;
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, ModalFitter};
 use cophase::pipeline::{Control, Stage};
 use cophase::scene::Scene;
-use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -101,7 +101,7 @@ fn limited(scene: &Scene, images: usize) -> (Scene, usize) {
 fn a_cube_in_tiles_is_fitted_to_the_same_bits() {
     let _alone = alone();
     let (scene, _) = limited(&scene(&[]), 3);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let estimator = ModalFitter::new(&scene, false).unwrap();
     assert_eq!(estimator.model().tiles().images, 3);
     // Chains with room for a tile, not for the cube.
@@ -161,7 +161,7 @@ fn memory_stays_below_its_formula() {
     let _alone = alone();
     let whole = scene(&LARGE);
     let (tiled, limit) = limited(&whole, 1);
-    let images_e = source::simulate(&whole).unwrap().images_e;
+    let images_e = source_images(&whole).images_e;
     for (scene, limit) in [(&whole, 8_000_000_000), (&tiled, limit)] {
         let (memory, peak) = peak(|| {
             let estimator = ModalFitter::new(scene, false).unwrap();

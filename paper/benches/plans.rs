@@ -88,7 +88,7 @@ fn own_model(scene: &Scene) -> Result<Scene> {
 /// Seconds an image in a batch, and the residuals of phasing and NCPA, nm, where `model` reads the
 /// image of `scene`.
 fn read(model: &Scene, scene: &Scene) -> Result<(f64, [f64; 2])> {
-    let made = source::simulate(scene)?;
+    let made = source::simulate(scene)?.remove(0);
     let estimator = ModalFitter::new(model, false)?;
     let precision = match model.estimate.precision() {
         scene::Precision::F32 => Precision::F32,

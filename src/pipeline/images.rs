@@ -119,38 +119,16 @@ impl Images {
         Self { unit: PixelUnit::Electrons, ..self }
     }
 
-    /// Reads a FITS file, which may be one of AOT ([`io::aot`]): images with their unit, `BADPIX`
-    /// or the file `mask`, what the cards state of the instrument, the scene (`SCENE`), the
-    /// telemetry (`SLOPES_MEAN`, else `SLOPES`, and `MOVED_REFERENCE`) and the truth
-    /// (`TRUTH_PHASING`, `TRUTH_NCPA`), each where the file has it.
-    ///
-    /// # Errors
-    /// Those of [`io::read_images`]; [`Error::File`] for a file with the images of several
-    /// channels: [`Images::read_channels`].
-    pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let mut channels = Self::read_channels(path, mask)?;
-        match (channels.pop(), channels.len()) {
-            (Some(images), 0) => Ok(images),
-            (_, others) => {
-                let reason = format!(
-                    "holds images of {} channels (HDUs IMAGES with EXTVER 1, 2, ..., or scoring cameras of AOT), where one is read: name one as FILE[HDU], or \
-                     use Images::read_channels",
-                    others + 1
-                );
-                Err(Error::file(path, reason))
-            }
-        }
-    }
-
-    /// As [`Images::read`], for each channel that the file has images of, in the order of `EXTVER`,
-    /// at least one. The channel has its own scene where the file's scene has one of this name. In
-    /// a file of several channels each has the telemetry with its `EXTVER`, which is 1 where there
-    /// is none.
+    /// Reads a FITS file, which may be one of AOT ([`io::aot`]): the images of each channel, in the
+    /// order of `EXTVER`, at least one. Of each: images with their unit, `BADPIX` or the file
+    /// `mask`, what the cards state of the instrument, the scene (`SCENE`; where it has channels,
+    /// that of the one of this name), the telemetry (`SLOPES_MEAN`, else `SLOPES`, of its `EXTVER`,
+    /// which is 1 where there is none, and `MOVED_REFERENCE`) and the truth (`TRUTH_PHASING`,
+    /// `TRUTH_NCPA`), each where the file has it.
     ///
     /// # Errors
     /// Those of [`io::read_channels`].
-    pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Self>> {
+    pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Self>> {
         let path = path.as_ref();
         // A scene of another version, with other keys, cannot be compared.
         let scene = embedded_scene(path, |_| true).ok().flatten();
@@ -210,22 +188,29 @@ impl Images {
         Ok(Self { slopes_mas: Some(slopes), moved_reference_mas: moved_reference(&mut file)?, notes, ..self })
     }
 
-    /// Simulated images of an artificial source, with their truth; see [`source::simulate`].
+    /// Simulated images of an artificial source with their truth, of each channel of the scene: see
+    /// [`source::simulate`].
     ///
     /// # Errors
     /// Those of [`source::simulate`].
-    pub fn simulated(scene: &Scene) -> Result<Self> {
-        source::simulate(scene).map(Self::from)
+    pub fn simulated(scene: &Scene) -> Result<Vec<Self>> {
+        let named = source::simulate(scene)?.into_iter().zip(scene.each_channel());
+        Ok(named.map(|(made, (name, _))| Self { channel: name.map(str::to_owned), ..Self::from(made) }).collect())
     }
 
-    /// As [`Images::simulated`], for each channel of the scene; see [`source::simulate_channels`].
+    /// The images of the only channel.
     ///
     /// # Errors
-    /// Those of [`source::simulate_channels`].
-    pub fn simulated_channels(scene: &Scene) -> Result<Vec<Self>> {
-        let made = source::simulate_channels(scene)?;
-        let named = made.into_iter().zip(scene.each_channel());
-        Ok(named.map(|(made, (name, _))| Self { channel: name.map(str::to_owned), ..Self::from(made) }).collect())
+    /// [`Error::Image`] where there are several, or none.
+    pub fn only(each: Vec<Self>) -> Result<Self> {
+        let count = each.len();
+        let [one] = <[Self; 1]>::try_from(each).map_err(|_| {
+            Error::Image(format!(
+                "there are images of {count} channels (HDUs IMAGES with EXTVER 1, 2, ..., or scoring cameras of AOT), where one is \
+                 taken: name one as FILE[HDU]"
+            ))
+        })?;
+        Ok(one)
     }
 
     /// Number of images.

@@ -178,7 +178,7 @@ impl Base {
             sections.image.count = 1;
             (sections.estimate.budget_nm, sections.estimate.method) = (None, Method::Modal);
         })?;
-        let flux_e = source::simulate(&one)?.flux_e;
+        let flux_e = source::simulate(&one)?[0].flux_e;
         let scene = one.changed(|sections| (sections.image.flux_e, sections.image.peak_snr) = (Some(flux_e), None))?;
         Ok(Self { scene, wavelengths_nm, flux_e })
     }
@@ -211,7 +211,7 @@ impl Base {
 
     fn observation(&self, channels: &[(f64, f64)], budget_nm: f64, control: &Control) -> Result<Observation> {
         let scene = self.scene_of(channels)?;
-        let images = Images::simulated_channels(&scene)?;
+        let images = Images::simulated(&scene)?;
         let peak_e = images.iter().flat_map(|images| &images.images_e).copied().fold(0.0, f64::max);
         // A larger model is no remedy for a defocus that is too small.
         let policy = Policy { select_model: false, ..Policy::default() };

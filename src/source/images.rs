@@ -22,36 +22,26 @@ pub struct SourceImages {
     pub truth: Truth,
 }
 
-/// Simulates the images of `scene`: one draw of aberrations, `image.count` draws of noise. The same
-/// scene gives bit-identical images.
+/// Simulates the images of each channel of `scene`, in order, or of the only one: one draw of
+/// aberrations, which all channels have, `image.count` draws of noise. The same scene gives
+/// bit-identical images.
 ///
 /// # Errors
 /// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`]
-/// for aberrations that drift, which needs the time axis of an AO simulation, and for channels:
-/// [`simulate_channels`].
-pub fn simulate(scene: &System) -> Result<SourceImages> {
-    scene.refuse_channels("the images of one camera")?;
-    simulate_channel(scene, 0, &|truth, _, _| Ok(truth))
-}
-
-/// As [`simulate`], for each channel of `scene`, in order, or for the only one: the same
-/// aberrations, other noise.
-///
-/// # Errors
-/// As [`simulate`].
-pub fn simulate_channels(scene: &System) -> Result<Vec<SourceImages>> {
-    simulate_channels_with(scene, &|truth, _, _| Ok(truth))
+/// for aberrations that drift, which needs the time axis of an AO simulation.
+pub fn simulate(scene: &System) -> Result<Vec<SourceImages>> {
+    simulate_with(scene, &|truth, _, _| Ok(truth))
 }
 
 /// A change of the aberrations that a scene and its telescope have.
 pub type ChangeOfTruth<'a> = dyn Fn(Truth, &System, &Telescope) -> Result<Truth> + 'a;
 
-/// As [`simulate_channels`], with aberrations that `change` makes of those that were drawn, such as
-/// what corrections leave of them.
+/// As [`simulate`], with aberrations that `change` makes of those that were drawn, such as what
+/// corrections leave of them.
 ///
 /// # Errors
 /// As [`simulate`], and those of `change`.
-pub fn simulate_channels_with(scene: &System, change: &ChangeOfTruth) -> Result<Vec<SourceImages>> {
+pub fn simulate_with(scene: &System, change: &ChangeOfTruth) -> Result<Vec<SourceImages>> {
     match scene.channels() {
         [] => Ok(vec![simulate_channel(scene, 0, change)?]),
         channels => {

@@ -13,7 +13,7 @@ mod truth;
 
 pub use camera::{Camera, expose, flux_e};
 pub use file::write;
-pub use images::{ChangeOfTruth, SourceImages, simulate, simulate_channels, simulate_channels_with};
+pub use images::{ChangeOfTruth, SourceImages, simulate, simulate_with};
 pub(crate) use pixels::DetectorPixels;
 pub use random::stream;
 pub use truth::Truth;

@@ -13,7 +13,7 @@ use std::process::Command;
 /// Images of the scene's artificial source, with a bad pixel in the first, and a hot one in the
 /// second: an outlier.
 fn images(scene: &Scene) -> Images {
-    let mut images_e: Array3<f64> = Images::simulated(scene).unwrap().images_e;
+    let mut images_e: Array3<f64> = Images::simulated(scene).unwrap().remove(0).images_e;
     images_e[[0, 20, 21]] = f64::NAN;
     images_e[[1, 24, 20]] += 2e5;
     Images::new(images_e)
@@ -91,7 +91,7 @@ fn images_of_two_channels(command: Command) {
     let settings = [("image.peak_snr", "300"), ("aberrations.segment_piston_rms_nm", "1000")];
     let scene = Scene::from_file(here().join("tiny.toml")).unwrap().with(&settings).unwrap();
     let scene = Scene::from_text(&format!("{}\n{COLOURS}", scene.text()), Path::new("")).unwrap();
-    let mut images = Images::simulated_channels(&scene).unwrap();
+    let mut images = Images::simulated(&scene).unwrap();
     // In another order than the scene's: they are named.
     images.reverse();
     let images: Vec<Images> =

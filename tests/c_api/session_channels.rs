@@ -28,7 +28,7 @@ pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
 }
 
 fn compare(mut command: Command, scene: &Scene, is_contradictory: bool) {
-    let images = Images::simulated_channels(scene).unwrap();
+    let images = Images::simulated(scene).unwrap();
     let directory = tempfile::tempdir().unwrap();
     let [toml, raw] = ["scene.toml", "frames.raw"].map(|name| directory.path().join(name));
     std::fs::write(&toml, scene.text()).unwrap();

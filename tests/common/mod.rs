@@ -4,6 +4,10 @@
 use cophase::device::{self, Choice};
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::ModalFitter;
+use cophase::pipeline::Images;
+use cophase::scene::Scene;
+use cophase::source::{self, SourceImages};
+use std::path::Path;
 
 /// Every chain that this machine has for an estimator's model, with its name. OpenCL may be absent
 /// on a user's machine; where `COPHASE_REQUIRE_OPENCL=1` (as in CI) its absence is a failure.
@@ -26,6 +30,21 @@ pub fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> 
         }
     }
     chains
+}
+
+/// Simulated images of a scene without channels.
+pub fn simulated(scene: &Scene) -> Images {
+    Images::only(Images::simulated(scene).unwrap()).unwrap()
+}
+
+/// As [`simulated`], with flux and aberrations.
+pub fn source_images(scene: &Scene) -> SourceImages {
+    source::simulate(scene).unwrap().remove(0)
+}
+
+/// The images of a file of one channel.
+pub fn images_of(path: impl AsRef<Path>, mask: Option<&Path>) -> Images {
+    Images::only(Images::read(path, mask).unwrap()).unwrap()
 }
 
 /// Checks that a message has each of `facts`, which " | " separates: keys, values, ranges, the next

@@ -1,5 +1,6 @@
 //! Files of AOT without Python: what is written is read, bit by bit, and what is missing is named.
 
+use crate::common::images_of;
 use cophase::Control;
 use cophase::ao::{self, Shot, Simulator};
 use cophase::io::aot::{AotTables, Cell, commands_nm, image_reference, row_reference};
@@ -49,7 +50,7 @@ fn assert_same(own: &Images, aot: &Images) {
 fn a_run_has_the_same_bits_in_both_files() {
     let folder = tempfile::tempdir().unwrap();
     let [own, aot] = run(&folder, &sky(""));
-    assert_same(&Images::read(&own, None).unwrap(), &Images::read(&aot, None).unwrap());
+    assert_same(&images_of(&own, None), &images_of(&aot, None));
     let texts = [&own, &aot].map(|path| embedded_scene(path, |_| false).unwrap().unwrap().text().to_owned());
     assert_eq!(texts[0], texts[1]);
     // Commands are in m; rounded to the 32 bits of ours they are the same.
@@ -70,14 +71,15 @@ fn channels_have_own_cameras_and_shared_telemetry() {
         let text = sky(&format!("simultaneous = {simultaneous}"))
             .replace("\n[aberrations]", &format!("{channels}\n[aberrations]"));
         let [own, aot] = run(&folder, &text);
-        let [own, read] = [&own, &aot].map(|path| Images::read_channels(path, None).unwrap());
+        let [own, read] = [&own, &aot].map(|path| Images::read(path, None).unwrap());
         assert_eq!((own.len(), read.len()), (2, 2));
         own.iter().zip(&read).for_each(|(own, aot)| assert_same(own, aot));
         let names = ["plus", "minus"].map(|name| Some(name.to_owned()));
         assert_eq!(read.iter().map(|images| images.channel.clone()).collect::<Vec<_>>(), names);
         let measured = FitsReader::open(&aot).unwrap().cube("SLOPES").unwrap().dim().0;
         assert_eq!(measured, if simultaneous { 2 } else { 4 });
-        assert!(Images::read(&aot, None).unwrap_err().to_string().contains("2 channels"));
+        let several = Images::only(Images::read(&aot, None).unwrap()).unwrap_err().to_string();
+        assert!(several.contains("2 channels") && several.contains("FILE[HDU]"), "{several}");
         assert!(read_images(&aot, None).unwrap_err().to_string().contains("2 scoring cameras"));
     }
 }
@@ -119,7 +121,7 @@ fn tables_state_the_instrument() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.fits");
     small(&path, |_, _| ());
-    let images = Images::read(&path, None).unwrap();
+    let images = images_of(&path, None);
     assert_eq!(images.unit, PixelUnit::Counts);
     assert_eq!(images.bad.iter().filter(|bad| **bad).count(), 2);
     assert!(images.bad[[0, 1, 2]] && images.bad[[1, 1, 2]]);
@@ -139,7 +141,7 @@ fn slopes_follow_the_mask_the_unit_and_the_times() {
     let path = folder.path().join("a.fits");
     let cube = Array3::from_shape_fn((2, 2, 3), |(frame, axis, place)| (100 * frame + 10 * axis + place) as f64);
     let mask = ndarray::array![[-1.0, 2.0], [0.0, 1.0]];
-    let read = || Images::read(&path, None).unwrap().slopes_mas.unwrap();
+    let read = || images_of(&path, None).slopes_mas.unwrap();
     for (unit, factor) in [("mas", 1.0), ("", 1.0), ("arcsec", 1e3), ("rad", 180.0 / std::f64::consts::PI * 3.6e6)] {
         small(&path, |tables, file| {
             sensor(tables, vec![("SUBAPERTURE_MASK", image_reference("M").into())]);
@@ -211,7 +213,7 @@ fn missing_and_contradictory_tables_are_named() {
         slopes(file, (2, 2, 3), "mas");
     };
     small(&path, two_sensors);
-    let images = Images::read(&path, None).unwrap();
+    let images = images_of(&path, None);
     assert!(images.slopes_mas.is_none() && images.notes.iter().any(|note| note.contains("2 wavefront sensors")));
 
     let mut file = FitsWriter::create(&path).unwrap();

@@ -1,6 +1,6 @@
 //! Channels: several images of one wavefront, fitted together.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, images_of};
 use crate::consistency::{scene, shown};
 use cophase::Control;
 use cophase::ao::{self, Shot, Simulator};
@@ -36,7 +36,7 @@ pub(crate) fn is_right(found: &Estimate) -> bool {
 #[test]
 fn a_pair_is_better_than_either_image_and_needs_no_order() {
     let scene = with_channels(PAIR, &[]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     // The noise differs, the wavefront does not.
     assert_ne!(images[0].images_e, images[1].images_e);
     let [one, other] = [0, 1].map(|channel| images[channel].truth.clone().unwrap().phasing_nm);
@@ -72,7 +72,7 @@ fn a_pair_is_better_than_either_image_and_needs_no_order() {
 fn defocus_amplitude_is_determined_by_a_pair_not_by_one_image() {
     let made = with_channels(PAIR, &[("image.diversity_focus_waves_rms", "0.84")]);
     let made = Scene::from_text(&made.text().replace("= -0.8\n", "= -0.84\n"), Path::new("")).unwrap();
-    let images: Vec<Images> = Images::simulated_channels(&made).unwrap();
+    let images: Vec<Images> = Images::simulated(&made).unwrap();
     // 5 % of 0.8 waves are 85 nm, which each channel has as NCPA of its own sign.
     let wrong = estimate(&with_channels(PAIR, &[]), &images);
     assert!(wrong.warnings.iter().any(|warning| warning.contains("the channels contradict each other")));
@@ -82,7 +82,7 @@ fn defocus_amplitude_is_determined_by_a_pair_not_by_one_image() {
     assert!((defocus.value - 0.84).abs() < 4.0 * defocus.sigma.max(1e-5), "{defocus:?}");
     // Two images behind one defocus say no more of it than one.
     let same = with_channels("[[image.channel]]\n[[image.channel]]\n", &[("estimate.fit_optics", "[\"defocus\"]")]);
-    let found = estimate(&same, &Images::simulated_channels(&same).unwrap());
+    let found = estimate(&same, &Images::simulated(&same).unwrap());
     assert!(found.optics[0].sigma.is_infinite() && is_right(&found), "{:?}", found.optics);
     assert!(
         found.warnings.iter().any(|warning| warning.contains("do not determine the amplitude")),
@@ -95,7 +95,7 @@ fn defocus_amplitude_is_determined_by_a_pair_not_by_one_image() {
 #[ignore = "merge: 9 s"]
 fn a_channel_that_is_flipped_contradicts_the_other() {
     let scene = with_channels(PAIR, &[]);
-    let mut images = Images::simulated_channels(&scene).unwrap();
+    let mut images = Images::simulated(&scene).unwrap();
     // About the axis, which is on column 48 of 96.
     let flipped = images[1].images_e.slice(ndarray::s![.., .., 1..;-1]).to_owned();
     images[1].images_e.slice_mut(ndarray::s![.., .., 1..]).assign(&flipped);
@@ -114,7 +114,7 @@ fn a_channel_in_focus_is_fitted_with_the_others() {
     const DRAWS: usize = 24;
     for seed in 0..DRAWS {
         let scene = with_channels(&set, &[("aberrations.seed", &(300 + seed).to_string())]);
-        let images = Images::simulated_channels(&scene).unwrap();
+        let images = Images::simulated(&scene).unwrap();
         let all = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
         assert!(all.is_sound(), "{seed}: {:?}", all.warnings);
         assert_eq!(all.channels, ["focus", "plus", "minus"]);
@@ -141,8 +141,8 @@ fn a_channel_in_focus_is_fitted_with_the_others() {
 fn a_channel_in_focus_of_another_wavefront_is_named() {
     let set = format!("{PAIR}[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n");
     let scene = with_channels(&set, &[]);
-    let mut images = Images::simulated_channels(&scene).unwrap();
-    images[2] = Images::simulated_channels(&with_channels(&set, &[("aberrations.seed", "77")])).unwrap().swap_remove(2);
+    let mut images = Images::simulated(&scene).unwrap();
+    images[2] = Images::simulated(&with_channels(&set, &[("aberrations.seed", "77")])).unwrap().swap_remove(2);
     let found = estimate(&scene, &images);
     let named = |word: &str| found.warnings.iter().any(|warning| warning.contains(word));
     assert!(named("contradict each other") || named("not explained within their noise"), "{:?}", found.warnings);
@@ -151,7 +151,7 @@ fn a_channel_in_focus_of_another_wavefront_is_named() {
 #[test]
 fn two_colours_find_the_whole_wavelengths_of_pistons() {
     let scene = with_channels(COLOURS, &[("aberrations.segment_piston_rms_nm", "3000")]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let found = estimate(&scene, &images);
     assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
     assert_eq!(found.integers.len(), 7);
@@ -164,7 +164,7 @@ fn two_colours_find_the_whole_wavelengths_of_pistons() {
 #[test]
 fn auto_gives_the_estimate_of_the_method_that_it_chooses() {
     let scene = with_channels(PAIR, &[]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let found = estimate(&scene.with(&[("estimate.method", "auto")]).unwrap(), &images);
     assert_eq!(found.modes.coefficients_nm, estimate(&scene, &images).modes.coefficients_nm);
     assert!(found.remarks.iter().any(|remark| remark.contains("chose \"modal\"")), "{:?}", found.remarks);
@@ -173,7 +173,7 @@ fn auto_gives_the_estimate_of_the_method_that_it_chooses() {
 #[test]
 fn images_of_other_channels_than_the_scenes_are_refused() {
     let scene = with_channels(PAIR, &[]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let estimator = Estimator::new(&scene).unwrap();
     for few in [&images[..1], images[0].as_ref()] {
         assert_facts(&estimator.estimate(few).unwrap_err().to_string(), "1 channel | 2 (plus, minus)");
@@ -199,7 +199,7 @@ fn tilted_segments_behind_a_strut_are_right() {
             ("modes.segment", "piston-tip-tilt"),
         ],
     );
-    let found = estimate(&scene, &Images::simulated_channels(&scene).unwrap());
+    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
     assert!(found.is_sound() && is_right(&found));
 }
 
@@ -217,7 +217,7 @@ fn ao_channels_are_estimated_with_their_own_telemetry() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();
-    let read = Images::read_channels(&path, None).unwrap();
+    let read = Images::read(&path, None).unwrap();
     assert_eq!(read.iter().map(|images| images.channel.as_deref()).collect::<Vec<_>>(), [Some("plus"), Some("minus")]);
     let mut file = FitsReader::open(&path).unwrap();
     for (number, images) in read.iter().enumerate() {
@@ -235,7 +235,7 @@ fn ao_channels_are_estimated_with_their_own_telemetry() {
         assert_eq!(file.map(Some(&hdu("COMMANDS"))).unwrap(), telemetry(&|shot| &shot.commands_nm));
         let times_s: Vec<f64> = own.iter().map(|shot| shot.time_s).collect();
         assert_eq!(file.f64_column(&hdu("SHOTS"), "TIME_S").unwrap(), times_s);
-        let one = Images::read(folder.path().join(format!("sky.fits[IMAGES,{}]", number + 1)), None).unwrap();
+        let one = images_of(folder.path().join(format!("sky.fits[IMAGES,{}]", number + 1)), None);
         assert_eq!((one.images_e, one.slopes_mas), (images.images_e.clone(), images.slopes_mas.clone()));
     }
     let truth = &simulator.truth().phasing_nm;
@@ -268,7 +268,7 @@ fn telemetry_without_a_number_is_that_of_the_first_channel() {
             file.image(name, &(&slopes_mas * (number + 1) as f64), Pixel::F64, "mas").unwrap();
         }
         file.finish().unwrap();
-        let read = Images::read_channels(&path, None).unwrap();
+        let read = Images::read(&path, None).unwrap();
         let found: Vec<_> = read.into_iter().map(|images| images.slopes_mas).collect();
         let expected: Vec<_> = expected.iter().map(|factor| factor.map(|factor| &slopes_mas * factor)).collect();
         assert_eq!(found, expected, "{images:?} {telemetry:?}");

@@ -59,7 +59,7 @@ fn write_truth(scene: &Scene, pistons_nm: &[f64], commands_nm: &Array1<f64>) {
 }
 
 fn estimate(scene: &Scene) -> Result<Estimate> {
-    let images = Images { truth: None, ..Images::simulated(scene)? };
+    let images = Images { truth: None, ..Images::only(Images::simulated(scene)?)? };
     Estimator::new(scene)?.estimate(&images)
 }
 

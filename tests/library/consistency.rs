@@ -1,7 +1,7 @@
 //! Images against the scene of their estimate: units, contradictions, the area of pixels, and how
 //! well the noise explains the residual.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, images_of, simulated};
 use cophase::Status;
 use cophase::io::{Card, ELECTRON, FitsWriter, Pixel, Quantity};
 use cophase::pipeline::{Estimate, Estimator, Images, Trust};
@@ -54,7 +54,7 @@ fn refused(scene: &Scene, images: &Images) -> String {
 #[test]
 fn arrays_of_counts_are_converted_with_the_gain_of_the_scene() {
     let plain = scene(&[]);
-    let made = Images::simulated(&plain).unwrap();
+    let made = simulated(&plain);
     let expected = estimate(&plain, &made);
     let gain = scene(&[("image.gain_e_per_adu", "16")]);
     // A power of two: nothing is rounded on the way.
@@ -74,7 +74,7 @@ fn arrays_of_counts_are_converted_with_the_gain_of_the_scene() {
 #[test]
 fn dead_columns_and_blocks_are_masked_and_named() {
     let plain = scene(&[]);
-    let mut made = Images::simulated(&plain).unwrap();
+    let mut made = simulated(&plain);
     // Through the star.
     made.images_e.slice_mut(s![.., .., 40..43]).fill(12.5);
     made.images_e.slice_mut(s![.., 50..56, 52..58]).fill(0.0);
@@ -96,10 +96,10 @@ fn contradiction_of_file_and_scene_needs_a_decision() {
     let plain = scene(&[]);
     let write = |cards: &[(&str, Card)]| {
         let mut file = FitsWriter::create(&path).unwrap();
-        file.image("IMAGES", &Images::simulated(&plain).unwrap().images_e, Pixel::F64, "electron").unwrap();
+        file.image("IMAGES", &simulated(&plain).images_e, Pixel::F64, "electron").unwrap();
         cards.iter().for_each(|(key, card)| file.card("IMAGES", key, card.clone(), "").unwrap());
         file.finish().unwrap();
-        Images::read(&path, None).unwrap()
+        images_of(&path, None)
     };
     let clean = estimate(&plain, &write(&[]));
     let mut images = write(&[("WAVELENG", 1.64.into()), ("RDNOISE", 60.into())]);
@@ -129,13 +129,13 @@ fn filter_without_the_wavelength_contradicts_the_scene() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");
     let plain = scene(&[]);
-    let made = Images::simulated(&plain).unwrap().images_e;
+    let made = simulated(&plain).images_e;
     let write = |cards: &[(&str, Card)]| {
         let mut file = FitsWriter::create(&path).unwrap();
         file.image("IMAGES", &made, Pixel::F64, ELECTRON).unwrap();
         cards.iter().for_each(|(key, card)| file.card("IMAGES", key, card.clone(), "").unwrap());
         file.finish().unwrap();
-        Images::read(&path, None).unwrap()
+        images_of(&path, None)
     };
     let clean = estimate(&plain, &write(&[]));
     // 2168.6 nm is in K, K' and Ks, and is the wavelength of Br gamma; other names state no band.
@@ -185,7 +185,7 @@ fn the_filters_of_a_real_frame_contradict_no_scene() {
         return;
     };
     // FILTER = 'PK50_1.5 + FEII', FWINAME = 'PK50_1.5', FWONAME = 'FEII'.
-    let facts = Images::read(frame, None).unwrap().facts;
+    let facts = images_of(frame, None).facts;
     assert!(facts.iter().any(|fact| fact.keyword == "CENWAVE"), "{facts:?}");
     assert!(facts.iter().all(|fact| fact.quantity != Quantity::BandNm), "{facts:?}");
 }
@@ -193,7 +193,7 @@ fn the_filters_of_a_real_frame_contradict_no_scene() {
 #[test]
 fn image_of_odd_size_loses_its_last_row_and_column() {
     let scene = scene(&[]);
-    let made = Images::simulated(&scene).unwrap();
+    let made = simulated(&scene);
     let clean = estimate(&scene, &made);
     // The axis stays on pixel [48, 48]; values that would ruin the estimate are in the part that is
     // left out.
@@ -223,7 +223,7 @@ fn pixels_with_an_area_are_modelled_as_the_scene_says() {
     // Pixels without gaps, and charge that diffuses between them.
     let detector = [("image.pixel_fill", "1"), ("image.charge_diffusion_pixels", "0.3")];
     let area = scene(&detector);
-    let images = Images::simulated(&area).unwrap();
+    let images = simulated(&area);
     let error = |scene: &Scene| {
         let found = estimate(scene, &images);
         let residual = found.truth.as_ref().unwrap().1.clone();
@@ -245,7 +245,7 @@ fn pixels_with_an_area_are_modelled_as_the_scene_says() {
 
 #[test]
 fn the_area_of_a_pixel_is_fitted() {
-    let images = Images::simulated(&scene(&[("image.pixel_fill", "0.9")])).unwrap();
+    let images = simulated(&scene(&[("image.pixel_fill", "0.9")]));
     let assumed = scene(&[("image.pixel_fill", "0.6"), ("estimate.fit_optics", "[\"pixel-fill\"]")]);
     let found = estimate(&assumed, &images);
     assert!(found.is_sound(), "{:?}", found.warnings);
@@ -267,7 +267,7 @@ fn methods_without_a_pixel_area_model_are_refused() {
     let coarse = refused_scene(&[("image.pixel_fill", "1"), ("image.samples_per_lambda_over_d", "1.5")]);
     assert_facts(&coarse, "image.pixel_fill = 1 | 1.9 or more");
     let points = scene(&[("estimate.fit_optics", "[\"pixel-fill\"]")]);
-    let sentence = refused(&points, &Images::simulated(&points).unwrap());
+    let sentence = refused(&points, &simulated(&points));
     assert_facts(&sentence, "pixels are points");
 }
 
@@ -275,12 +275,12 @@ fn methods_without_a_pixel_area_model_are_refused() {
 fn nominal_images_are_explained_and_small_faults_are_not() {
     for snr in ["20", "100", "300", "1000"] {
         let scene = scene(&[("image.peak_snr", snr)]);
-        let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+        let found = estimate(&scene, &simulated(&scene));
         println!("peak S/N {snr}: χ² {:.3}", found.reduced_chi2);
         assert!(found.is_sound(), "peak S/N {snr}: χ² {} {:?}", found.reduced_chi2, found.warnings);
     }
     let scene = scene(&[("image.peak_snr", "500")]);
-    let star = Images::simulated(&scene).unwrap().images_e;
+    let star = simulated(&scene).images_e;
     let most = star.iter().fold(0.0f64, |most, &e| most.max(e));
     let companion = Array3::from_shape_fn(star.dim(), |(i, y, x)| {
         star[[i, y, x]] + if x < 6 { 0.0 } else { 0.01 * star[[i, y, x - 6]] }
@@ -309,7 +309,7 @@ fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
     // The modes of the scene alone, so that both estimates have the same.
     let own = [("image.peak_snr", "500"), ("estimate.model", "scene"), ("estimate.posterior", "false")];
     let scene = scene(&own);
-    let images = Images::simulated(&scene).unwrap();
+    let images = simulated(&scene);
     let star = &images.images_e;
     let companion = Array3::from_shape_fn(star.dim(), |(i, y, x)| {
         star[[i, y, x]] + if x < 6 { 0.0 } else { 0.02 * star[[i, y, x - 6]] }
@@ -335,13 +335,13 @@ fn contradicting_background_is_refused_by_map_estimates() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");
     let plain = scene(&[("image.background_e", "100")]);
-    let made = Images::simulated(&plain).unwrap().images_e;
+    let made = simulated(&plain).images_e;
     let write = |background_e: f64| {
         let mut file = FitsWriter::create(&path).unwrap();
         file.image("IMAGES", &made, Pixel::F64, ELECTRON).unwrap();
         file.card("IMAGES", "BACKGR_E", background_e, "").unwrap();
         file.finish().unwrap();
-        Images::read(&path, None).unwrap()
+        images_of(&path, None)
     };
     let map = plain.with_override("estimate.method", "full-phase").unwrap();
     let mut images = write(40.0);
@@ -361,7 +361,7 @@ fn a_stated_read_noise_of_zero_is_none() {
     // Photon noise alone, from a thousand electrons in a pixel to hundredths.
     for flux in ["1e7", "1e5"] {
         let scene = scene(&[("image.peak_snr", ""), ("image.flux_e", flux), ("image.read_noise_e", "0")]);
-        let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+        let found = estimate(&scene, &simulated(&scene));
         println!("{flux} electrons: χ² {:.3}", found.reduced_chi2);
         assert!(
             (0.8..1.1).contains(&found.reduced_chi2) && found.is_sound(),

@@ -1,8 +1,9 @@
 //! A diversity as a map that has no values outside the pupil, as other programs write it.
 
+use crate::common::simulated;
 use crate::consistency::scene;
 use cophase::io::{FitsWriter, Pixel};
-use cophase::pipeline::{Estimator, Images};
+use cophase::pipeline::Estimator;
 use cophase::telescope::{Diversity, Telescope};
 use ndarray::Array2;
 
@@ -12,7 +13,7 @@ fn diversity_map_needs_no_values_outside_the_pupil() {
     let focus = scene(&[]);
     let telescope = Telescope::new(&focus).unwrap();
     let diversity = Diversity::new(&focus, &telescope).unwrap();
-    let images = Images::simulated(&focus).unwrap();
+    let images = simulated(&focus);
     let expected = Estimator::new(&focus).unwrap().estimate(&images).unwrap().modes.coefficients_nm;
     // On the samples of the pupil, and on others.
     for samples in [96, 250] {

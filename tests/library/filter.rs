@@ -1,6 +1,6 @@
 //! Filter curves from files and temperatures of stars, from the scene to the estimate.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, simulated};
 use crate::consistency::scene;
 use cophase::Status;
 use cophase::modal::{Model, Recipe};
@@ -33,7 +33,7 @@ fn pulls(what: &str, found: &Estimate) -> [f64; 2] {
 #[ignore = "merge: 6 s"]
 fn estimate_is_right_only_with_filter_curve_and_star() {
     let (_folder, made) = made();
-    let images = Images::simulated(&made).unwrap();
+    let images = simulated(&made);
     let without_curve = [("image.filter_file", ""), ("image.star_temperature_k", "")];
     let cases: [(&str, &[(&str, &str)]); 5] = [
         ("curve and star", &[]),
@@ -82,7 +82,7 @@ fn model(scene: &Scene) -> Model {
 fn keys_that_contradict_a_filter_file_are_refused() {
     let (folder, made) = made();
     let sentence = |result: Result<Estimate>| result.unwrap_err().to_string();
-    let images = Images::simulated(&made).unwrap();
+    let images = simulated(&made);
     let estimate = |scene: &Scene| Estimator::new(scene)?.estimate(&images);
     let both = made.with(&[("image.bandwidth_fraction", "0.1")]).unwrap_err().to_string();
     assert_facts(&both, "'image.filter_file' | image.bandwidth_fraction = 0.1 | both");

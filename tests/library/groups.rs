@@ -1,6 +1,7 @@
 //! Images of one wavefront that are fitted together: in focus, with known shapes of a mirror
 //! between them, or with a small defocus.
 
+use crate::common::{images_of, simulated};
 use crate::consistency::scene;
 use cophase::io::{FitsWriter, Pixel};
 use cophase::pipeline::{Estimate, Estimator, Images};
@@ -57,7 +58,7 @@ fn pull(estimate: &Estimate) -> f64 {
 fn images_in_focus_with_known_shapes_determine_the_wavefront() {
     let folder = tempfile::tempdir().unwrap();
     let scene = in_focus(folder.path(), &[]);
-    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+    let found = estimate(&scene, &simulated(&scene));
     assert!(found.warnings.is_empty() && found.images.len() == 5, "{:?}", found.warnings);
     assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));
     assert!(found.figures.wavefront.sigma_nm < 20.0, "{}", found.figures.wavefront.sigma_nm);
@@ -68,7 +69,7 @@ fn scale_and_sign_of_the_shapes_are_fitted() {
     let folder = tempfile::tempdir().unwrap();
     let made = in_focus(folder.path(), &[("image.diversity_scale", "-0.66")]);
     let scene = in_focus(folder.path(), &[("estimate.fit_optics", "[\"diversity\"]")]);
-    let images = Images { scene: None, ..Images::simulated(&made).unwrap() };
+    let images = Images { scene: None, ..simulated(&made) };
     let found = estimate(&scene, &images);
     let [scale] = found.optics.as_slice() else { panic!("{:?}", found.optics) };
     assert_eq!((scale.key.as_str(), scale.scene), ("image.diversity_scale", 1.0));
@@ -86,7 +87,7 @@ fn pairs_with_a_small_defocus_are_fitted_together() {
         1,
     );
     let pair = Scene::from_text(&text, Path::new("")).unwrap();
-    let images = Images::simulated_channels(&pair).unwrap();
+    let images = Images::simulated(&pair).unwrap();
     let found = Estimator::new(&pair).unwrap().estimate(&images).unwrap();
     assert!(found.remarks[0].contains("2 images were fitted together"), "{:?}", found.remarks);
     assert!(found.warnings.is_empty() && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
@@ -96,7 +97,7 @@ fn pairs_with_a_small_defocus_are_fitted_together() {
 fn images_that_are_not_fitted_are_predicted() {
     let folder = tempfile::tempdir().unwrap();
     let scene = in_focus(folder.path(), &[("estimate.fitted_images", "[4, 0, 2]")]);
-    let images = Images::simulated(&scene).unwrap();
+    let images = simulated(&scene);
     let found = estimate(&scene, &images);
     let used: Vec<bool> = found.images.iter().map(|image| image.is_used).collect();
     assert_eq!(used, [true, false, true, false, true]);
@@ -130,8 +131,8 @@ fn images_of_another_wavefront_are_left_out() {
     let planes =
         [("image.diversity_planes", "[-1, 0, 1, 2, 3, 0, 2]"), ("image.count", "7"), ("image.peak_snr", "500")];
     let scene = in_focus(folder.path(), &planes);
-    let images = Images::simulated(&scene).unwrap();
-    let other = Images::simulated(&scene.with(&[("aberrations.ncpa_rms_nm", "100")]).unwrap()).unwrap();
+    let images = simulated(&scene);
+    let other = simulated(&scene.with(&[("aberrations.ncpa_rms_nm", "100")]).unwrap());
     let says = |found: &Estimate, part: &str| found.warnings.iter().any(|warning| warning.contains(part));
     // Planes 2 and 3: channels map 2 and map 3.
     let found = estimate(&scene, &with_images_of(&images, &other, &[3, 4]));
@@ -160,7 +161,7 @@ fn images_of_one_wavefront_do_not_contradict_each_other() {
         for seed in ["1", "2", "3"] {
             let own = [("image.diversity_planes", planes), ("image.count", "4"), ("aberrations.seed", seed)];
             let scene = in_focus(folder.path(), &[&own[..], &[("image.peak_snr", "100")]].concat());
-            let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+            let found = estimate(&scene, &simulated(&scene));
             assert!(found.warnings.is_empty(), "{planes} {seed}: {:?}", found.warnings);
             assert!((0.5..1.8).contains(&pull(&found)), "{planes} {seed}: {}", pull(&found));
         }
@@ -171,7 +172,7 @@ fn images_of_one_wavefront_do_not_contradict_each_other() {
 fn images_that_cannot_be_used_are_named_and_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let scene = in_focus(folder.path(), &[]);
-    let mut images = Images::simulated(&scene).unwrap();
+    let mut images = simulated(&scene);
     images.images_e.slice_mut(ndarray::s![2, .., ..]).fill(0.0);
     let found = estimate(&scene, &images);
     assert!(found.warnings[0].contains("channel map 1: no image can be used"), "{:?}", found.warnings);
@@ -184,7 +185,7 @@ fn an_amplitude_that_images_do_not_show_stays() {
     let settings = [("image.diversity_focus_waves_rms", "0.3"), ("estimate.fit_optics", "[\"defocus\"]")];
     let text = scene(&settings).text().replacen("[modes]", &format!("{channels}[modes]"), 1);
     let pair = Scene::from_text(&text, Path::new("")).unwrap();
-    let found = Estimator::new(&pair).unwrap().estimate(&Images::simulated_channels(&pair).unwrap()).unwrap();
+    let found = Estimator::new(&pair).unwrap().estimate(&Images::simulated(&pair).unwrap()).unwrap();
     let [defocus] = found.optics.as_slice() else { panic!("{:?}", found.optics) };
     assert!(defocus.value == 0.3 && defocus.sigma.is_infinite(), "{defocus:?}");
     assert!(
@@ -212,7 +213,7 @@ fn says_twin(shape: fn(usize, [f64; 3]) -> f64, settings: &[(&str, &str)]) -> bo
         ("image.count", "3"),
     ];
     let scene = in_focus(folder.path(), &[&own[..], settings].concat());
-    let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+    let found = estimate(&scene, &simulated(&scene));
     found.warnings.iter().any(|warning| warning.contains("the turned wavefront −W(−x, −y)"))
 }
 
@@ -230,7 +231,7 @@ fn shapes_that_are_all_odd_or_all_even_leave_a_twin() {
 fn what_a_group_does_not_take_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let usual = in_focus(folder.path(), &[]);
-    let images = Images::simulated(&usual).unwrap();
+    let images = simulated(&usual);
     let refused = |settings: &[(&str, &str)], parts: &[&str]| {
         let scene = usual.with(settings).unwrap();
         let images = Images { scene: None, ..images.clone() };
@@ -271,7 +272,7 @@ fn groups_of_a_bench_show_one_wavefront() {
         return;
     };
     let run = folder.join("run1.fits");
-    let whole = Images::read(&run, None).unwrap();
+    let whole = images_of(&run, None);
     // An image saw what the mirror was asked for after the one before it.
     let planes: Vec<i64> = (0..29).map(|image| image - 1).collect();
     let [one, other] = [[1, 4, 7, 11, 21], [2, 5, 9, 14, 25]].map(|which: [usize; 5]| {

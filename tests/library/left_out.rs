@@ -23,7 +23,7 @@ fn estimate_changed(
     let own = [("estimate.model", "scene"), ("estimate.posterior", if posterior { "true" } else { "false" })];
     let keck = [("image.samples_per_lambda_over_d", "2"), ("image.pixels", "128"), ("image.peak_snr", "150")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&[&keck[..], settings, &own].concat()).unwrap();
-    let mut images = Images { scene: None, ..Images::simulated(&scene.with(simulated).unwrap()).unwrap() };
+    let mut images = Images { scene: None, ..crate::common::simulated(&scene.with(simulated).unwrap()) };
     let peak_e = images.images_e.iter().copied().fold(0.0, f64::max);
     for ((_, y, x), electrons) in images.images_e.indexed_iter_mut() {
         *electrons *= gain([x as i64 - 64, y as i64 - 64], *electrons / peak_e);
@@ -200,7 +200,7 @@ fn pair(settings: &[(&str, &str)], simulated: &[(&str, &str)], posterior: bool) 
         ("estimate.posterior", if posterior { "true" } else { "false" }),
     ];
     let scene = Scene::preset("keck-pair").unwrap().with(&[&own[..], settings].concat()).unwrap();
-    let mut images = Images::simulated_channels(&scene.with(simulated).unwrap()).unwrap();
+    let mut images = Images::simulated(&scene.with(simulated).unwrap()).unwrap();
     images.iter_mut().for_each(|images| images.scene = None);
     shown(Estimator::new(&scene).unwrap().estimate(&images).unwrap())
 }
@@ -283,7 +283,7 @@ fn a_channel_alone_is_an_image_without_channels() {
     let text = alone.text().replacen("[modes]", "[[image.channel]]\n[modes]", 1);
     let channel = Scene::from_text(&text, Path::new("")).unwrap();
     let [one, other] = [alone, channel].map(|scene| {
-        let images = Images::simulated_channels(&scene).unwrap();
+        let images = Images::simulated(&scene).unwrap();
         Estimator::new(&scene).unwrap().estimate(&images).unwrap()
     });
     // Both are the same equations. The combination inverts a covariance twice, and error bars are
@@ -308,7 +308,7 @@ fn what_a_common_figure_leaves_open_is_given_apart() {
     let estimate = |tolerance: &str| {
         let settings = [("estimate.posterior", "true"), ("tolerance.common_figure_nm", tolerance)];
         let scene = Scene::preset("jwst-pair").unwrap().with(&settings).unwrap();
-        let images = Images::simulated_channels(&scene).unwrap();
+        let images = Images::simulated(&scene).unwrap();
         shown(Estimator::new(&scene).unwrap().estimate(&images).unwrap())
     };
     let [open, known] = ["5", "0"].map(estimate);

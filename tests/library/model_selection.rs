@@ -1,10 +1,10 @@
 //! Model selection: segment tilts, Zernikes, reflectivities and shadows that the scene does not
 //! name.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, simulated};
 use crate::consistency::{scene, shown};
 use cophase::Status;
-use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use cophase::pipeline::{Control, Estimate, Estimator, Policy};
 use cophase::scene::Scene;
 
 /// Error bars that hold the noise alone.
@@ -12,7 +12,7 @@ const NOISE_ALONE: (&str, &str) = ("estimate.posterior", "false");
 
 /// The estimate of an image that was made with `made` beside the scene, by the scene with `read`.
 fn estimate(made: &[(&str, &str)], read: &[(&str, &str)], policy: Policy) -> Estimate {
-    let images = Images::simulated(&scene(made)).unwrap();
+    let images = simulated(&scene(made));
     let scene: Scene = scene(&[made, read].concat());
     let found = Estimator::with_policy(&scene, policy, Control::default()).unwrap().estimate(&images).unwrap();
     shown(found)
@@ -137,7 +137,7 @@ fn shadows_that_the_scene_lacks_are_found_together() {
     ];
     let texts = made.map(|(_, value)| value.to_string());
     let settings: Vec<_> = made.iter().zip(&texts).map(|((key, _), text)| (*key, text.as_str())).collect();
-    let images = Images::simulated(&scene(&settings)).unwrap();
+    let images = simulated(&scene(&settings));
     // Its pupil has samples that the true one lacks, so the truth is not compared.
     let found = Estimator::new(&scene(&[])).unwrap().estimate(&images).unwrap();
     assert_eq!(found.status, Status::Ok, "{} {:?}", found.model, found.warnings);

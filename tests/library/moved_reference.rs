@@ -1,6 +1,7 @@
 //! Full-phase estimates behind a loop whose reference slopes a correction has moved: the telemetry
 //! is relative to them.
 
+use crate::common::images_of;
 use crate::full_phase::sky;
 use cophase::Control;
 use cophase::ao::{self, Shot};
@@ -15,7 +16,7 @@ fn images(scene: &Scene, sent: &[SentCorrections], path: &Path) -> Images {
     let mut shots: Vec<Shot> = Vec::new();
     let summary = simulator.run(&mut shots, &Control::default()).unwrap();
     ao::write(path, scene.text(), &simulator, &shots, &summary).unwrap();
-    Images::read(path, None).unwrap()
+    images_of(path, None)
 }
 
 fn read(scene: &Scene, images: &Images) -> Estimate {

@@ -30,7 +30,7 @@ fn simulated(scene: &Scene) -> Vec<Images> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();
-    Images::read_channels(&path, None).unwrap()
+    Images::read(&path, None).unwrap()
 }
 
 fn estimate(scene: &Scene, images: &[Images]) -> Estimate {

@@ -26,7 +26,7 @@ fn an_observation_reaches_its_budget_when_it_is_taken() {
     // Half a wavelength about the mean.
     assert_eq!(best.piston_range_nm, scene.image.wavelength_nm / 2.0);
     let again = Scene::from_text(best.scene.text(), best.scene.directory()).unwrap();
-    let images = Images::simulated_channels(&again.with_override("aberrations.seed", "5").unwrap()).unwrap();
+    let images = Images::simulated(&again.with_override("aberrations.seed", "5").unwrap()).unwrap();
     let found = shown(Estimator::new(&again).unwrap().estimate(&images).unwrap());
     // Some ten modes each: their RMS exceeds twice its expectation once in 10⁴ draws. Error bars
     // are those of one noise and one wavefront.
@@ -43,7 +43,7 @@ fn two_wavelengths_extend_range_and_tiny_budgets_have_no_plan() {
     let two = plan(&scene, &[2168.6, 1640.0], 1.0);
     let colours = two.observations.iter().find(|one| one.channels[0].0 != one.channels.last().unwrap().0).unwrap();
     assert!(colours.piston_range_nm > 2000.0, "{colours:?}");
-    let images = Images::simulated_channels(&colours.scene).unwrap();
+    let images = Images::simulated(&colours.scene).unwrap();
     assert_eq!(images.len(), 2);
     let none = plan(&scene, &[], 1e-6);
     assert!(none.recommended().is_none() && none.observations.iter().all(|one| one.exposures.is_none()));

@@ -1,6 +1,6 @@
 //! Images that are taken to be of one wavefront, and some of which are of another.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, simulated};
 use crate::consistency::scene;
 use cophase::Status;
 use cophase::pipeline::{Estimate, Estimator, Images};
@@ -15,7 +15,7 @@ fn images(count: usize, others: &[usize], more_nm: f64, settings: &[(&str, &str)
     let of = |pistons_nm: f64| {
         let own = [("aberrations.segment_piston_rms_nm", pistons_nm.to_string()), ("image.count", count.to_string())];
         let own = own.iter().map(|(key, value)| (*key, value.as_str()));
-        Images::simulated(&scene(&own.chain(settings.iter().copied()).collect::<Vec<_>>())).unwrap()
+        simulated(&scene(&own.chain(settings.iter().copied()).collect::<Vec<_>>()))
     };
     let (mut mixed, other) = (of(PISTONS_NM), of(PISTONS_NM + more_nm));
     for &image in others {

@@ -1,6 +1,7 @@
 //! Orientation of images: where the data determine it, it is checked, and where they do not, one
 //! remark says so.
 
+use crate::common::simulated;
 use crate::consistency::{scene, shown};
 use crate::full_phase::{exposures, sky};
 use cophase::Status;
@@ -22,7 +23,7 @@ fn estimate(scene: &Scene, images: &Images) -> Estimate {
 fn diversity_sign_is_unverified_for_point_symmetric_pupils() {
     let remark = |settings: &[(&str, &str)]| {
         let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
-        let found = estimate(&scene, &Images::simulated(&scene).unwrap());
+        let found = estimate(&scene, &simulated(&scene));
         found.remarks.into_iter().find(|remark| remark.contains(UNVERIFIED)).unwrap_or_default()
     };
     assert!(remark(&[]).contains("Nor can the sign of the diversity"));
@@ -50,7 +51,7 @@ fn moved(images: &Images, source: impl Fn(usize, usize) -> (usize, usize)) -> Im
 #[ignore = "merge: 14 s"]
 fn a_pupil_without_symmetry_determines_the_orientation() {
     let scene = scene(&VANES);
-    let (n, images) = (96, Images::simulated(&scene).unwrap());
+    let (n, images) = (96, simulated(&scene));
     let right = estimate(&scene, &images);
     assert!(right.is_sound() && remarks(&right) == 0, "{:?} {:?}", right.warnings, right.remarks);
     // All but one: a turn by 180° with the opposite diversity has the same image, and the opposite
@@ -83,7 +84,7 @@ fn a_pupil_without_symmetry_determines_the_orientation() {
 #[test]
 fn a_pupil_that_equals_its_mirror_image_does_not() {
     let scene = scene(&[]);
-    let images = Images::simulated(&scene).unwrap();
+    let images = simulated(&scene);
     let flipped = moved(&images, |y, x| (y, (96 - x) % 96));
     let [right, flipped] = [&images, &flipped].map(|images| estimate(&scene, images));
     assert!(right.is_sound() && remarks(&right) == 1, "{:?} {:?}", right.warnings, right.remarks);

@@ -2,7 +2,7 @@
 //! truth and in estimates.
 
 use super::full_phase::sky;
-use crate::common::assert_facts;
+use crate::common::{assert_facts, images_of, simulated};
 use cophase::Control;
 use cophase::ao::{self, Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, Images};
@@ -112,7 +112,7 @@ fn petals_are_added_to_the_ncpa_without_changing_other_draws() {
 }
 
 fn estimate(scene: &Scene) -> Estimate {
-    Estimator::new(scene).unwrap().estimate(&Images::simulated(scene).unwrap()).unwrap()
+    Estimator::new(scene).unwrap().estimate(&simulated(scene)).unwrap()
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn petals_are_static_modes_of_a_full_phase_estimate() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sky.fits");
     ao::write(&path, scene.text(), &simulator, &shots, &summary).unwrap();
-    let images = Images::read(&path, None).unwrap();
+    let images = images_of(&path, None);
     let [without, with] = ["none", "piston"].map(|petals| {
         let scene = scene.with_override("modes.petals", petals).unwrap();
         let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();

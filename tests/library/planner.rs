@@ -1,14 +1,13 @@
 //! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what
 //! it cannot do.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, simulated, source_images};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
 use cophase::modal::{Cube, ModalFitter, Recipe};
 use cophase::modes::Group;
 use cophase::planner::{self, Plan, Price};
 use cophase::scene::{self, Crop, NcpaBasis, NollRange, Scene};
-use cophase::source;
 use cophase::{Control, Status};
 use cophase::{Error, Estimator, Images, Result};
 use std::path::Path;
@@ -51,7 +50,7 @@ fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
 /// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator
 /// makes it.
 fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
-    let made = source::simulate(scene).unwrap();
+    let made = source_images(scene);
     let estimator = ModalFitter::new(&plan.scene, false).unwrap();
     let precision = match plan.scene.estimate.precision() {
         scene::Precision::F32 => Precision::F32,
@@ -141,7 +140,7 @@ fn estimates_of_a_planned_scene_are_no_misfits() {
         let plan = plan(&scene, 3.0).unwrap();
         assert!(plan.chosen.misfit <= 0.5, "{:?}", plan.chosen);
         for seed in ["11", "12", "13"] {
-            let images = Images::simulated(&scene.with_override("aberrations.seed", seed).unwrap()).unwrap();
+            let images = simulated(&scene.with_override("aberrations.seed", seed).unwrap());
             let found = Estimator::new(&plan.scene).unwrap().estimate(&images).unwrap();
             assert!(found.status == Status::Ok, "S/N {peak_snr}, seed {seed}: {:?}", found.warnings);
         }
@@ -260,7 +259,7 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
             let seed = (40 + seed).to_string();
             let (made, read) = (&given, &plan.scene);
             let made = made.with_override("aberrations.seed", &seed).unwrap();
-            let images = Images::simulated_channels(&made).unwrap();
+            let images = Images::simulated(&made).unwrap();
             let found = Estimator::new(read).unwrap().estimate(&images).unwrap();
             let residual = found.truth.as_ref().unwrap().1.rms_nm;
             squares.iter_mut().zip(residual).for_each(|(square, nm)| *square += nm * nm / DRAWS as f64);
@@ -281,7 +280,7 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
 fn an_estimate_plans_the_channels_of_a_scene_with_a_budget() {
     let given = Scene::from_text(&format!("{SMALL}\n{}", CHANNELS[0]), Path::new("")).unwrap();
     let budget = given.with_override("estimate.budget_nm", "4").unwrap();
-    let found = Estimator::new(&budget).unwrap().estimate(&Images::simulated_channels(&given).unwrap()).unwrap();
+    let found = Estimator::new(&budget).unwrap().estimate(&Images::simulated(&given).unwrap()).unwrap();
     assert!(found.scene.estimate.samples.is_some() && found.scene.estimate.budget_nm.is_none());
     let residual = &found.truth.as_ref().unwrap().1;
     assert!(residual.rms_nm.iter().take(2).all(|nm| *nm < 4.0), "{:?}", residual.rms_nm);

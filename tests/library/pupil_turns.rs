@@ -1,7 +1,7 @@
 //! Pupils that turn on the detector: each image is fitted with its own turn.
 
 use crate::channels::{PAIR, is_right, with_channels};
-use crate::common::assert_facts;
+use crate::common::{assert_facts, simulated};
 use crate::consistency::{scene, shown};
 use cophase::pipeline::{Estimate, Estimator, Images, Part, PartFits, Trust};
 use cophase::scene::Scene;
@@ -15,7 +15,7 @@ fn turning(turns_deg: &str) -> Scene {
 #[test]
 fn images_of_a_turning_pupil_are_fitted_each_with_its_turn() {
     let scene = turning(TURNS_DEG);
-    let images = Images::simulated(&scene).unwrap();
+    let images = simulated(&scene);
     let estimator = Estimator::new(&scene).unwrap();
     let found = shown(estimator.estimate(&images).unwrap());
     assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
@@ -26,7 +26,7 @@ fn images_of_a_turning_pupil_are_fitted_each_with_its_turn() {
     assert_eq!(found.scene.text(), scene.text());
     // Each image says as much as any.
     let one = Estimator::new(&turning("[0.0]")).unwrap().estimate(&images.clone()).unwrap();
-    let first = Images::simulated(&turning("[3.0]").with(&[("image.count", "1")]).unwrap()).unwrap();
+    let first = simulated(&turning("[3.0]").with(&[("image.count", "1")]).unwrap());
     let single = Estimator::new(&turning("[3.0]")).unwrap().estimate(&first).unwrap();
     assert!(is_right(&single), "one turn for all is no channel: {:?}", single.channels);
     let noise_nm = |found: &Estimate| found.error_budget[0].phasing_nm;
@@ -47,7 +47,7 @@ fn channels_turn_each_by_its_own() {
     let turns = "diversity_focus_waves_rms = -0.8\npupil_turns_deg = [2.0, -2.0]\n";
     let channels = PAIR.replace("diversity_focus_waves_rms = -0.8\n", turns);
     let scene = with_channels(&channels, &[("image.count", "2")]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let found = shown(Estimator::new(&scene).unwrap().estimate(&images).unwrap());
     assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
     assert_eq!(found.channels, ["plus, turn +0.000", "minus, turn -2.000", "minus, turn +2.000"]);
@@ -58,7 +58,7 @@ fn channels_turn_each_by_its_own() {
 #[test]
 fn turns_of_a_file_are_those_of_a_scene_that_names_their_card() {
     let made = turning(TURNS_DEG);
-    let images = Images { scene: Some(made.clone()), ..Images::simulated(&made).unwrap() };
+    let images = Images { scene: Some(made.clone()), ..simulated(&made) };
     let silent = made.without("image.pupil_turns_deg").unwrap();
     let estimate = |scene: &Scene, images: &Images| Estimator::new(scene).unwrap().estimate(images);
     let refused = estimate(&silent, &images).unwrap_err().to_string();

@@ -1,10 +1,11 @@
 //! Files that a scene names: one that does not exist is missed, whether or not the estimate reads
 //! it.
 
+use crate::common::{images_of, simulated};
 use crate::consistency::scene;
 use cophase::Error;
 use cophase::io::{FitsWriter, Pixel};
-use cophase::pipeline::{Estimator, Images, embedded_scene};
+use cophase::pipeline::{Estimator, embedded_scene};
 use cophase::scene::Scene;
 use std::path::Path;
 
@@ -47,7 +48,7 @@ fn estimator_keeps_its_model_until_a_scene_file_changes() {
     let scene = scene(&[("image.filter_file", &*path), ("estimate.model", "scene")]);
     let wide = "2000, 0\n2100, 1\n2300, 1\n2400, 0\n";
     std::fs::write(&filter, wide).unwrap();
-    let (images, estimator) = (Images::simulated(&scene).unwrap(), Estimator::new(&scene).unwrap());
+    let (images, estimator) = (simulated(&scene), Estimator::new(&scene).unwrap());
     let estimates = |estimator: &Estimator| estimator.estimate(&images).unwrap().modes.coefficients_nm;
     let found = estimates(&estimator);
     assert_eq!(estimates(&estimator), found);
@@ -62,7 +63,7 @@ fn the_scene_in_an_image_file_may_name_files_of_another_machine() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("images.fits");
     let plain = scene(&[]);
-    let images = Images::simulated(&plain).unwrap();
+    let images = simulated(&plain);
     let elsewhere = plain.with(&[("mirror.actuator_file", "/elsewhere/none.txt")]).unwrap();
     let mut file = FitsWriter::create(&path).unwrap();
     file.image("IMAGES", &images.images_e, Pixel::F64, "electron").unwrap();
@@ -70,7 +71,7 @@ fn the_scene_in_an_image_file_may_name_files_of_another_machine() {
     file.finish().unwrap();
     let embedded = embedded_scene(&path, |_| false).unwrap().unwrap();
     assert_eq!(embedded.mirror.actuator_file.as_deref(), Some(Path::new("/elsewhere/none.txt")));
-    let [found, expected] = [(&embedded, &Images::read(&path, None).unwrap()), (&plain, &images)]
+    let [found, expected] = [(&embedded, &images_of(&path, None)), (&plain, &images)]
         .map(|(scene, images)| Estimator::new(scene).unwrap().estimate(images).unwrap());
     assert_eq!(found.modes.coefficients_nm, expected.modes.coefficients_nm);
     // The same text as a scene of its own is not.

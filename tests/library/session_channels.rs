@@ -78,7 +78,7 @@ fn refines_to(session: &Session, estimate: &Estimate) {
 fn a_session_agrees_with_the_estimate() {
     for (channels, error) in [(PAIR, "0"), (PAIR, "0.01"), (COLOURS, "0")] {
         let scene = with_channels(channels, &[("estimate.diversity_error", error)]);
-        let images = Images::simulated_channels(&scene).unwrap();
+        let images = Images::simulated(&scene).unwrap();
         let mut session = session(&scene, &images);
         // Twice: nothing of the first fit is left in the second.
         for _ in 0..2 {
@@ -104,7 +104,7 @@ fn a_session_agrees_with_the_estimate() {
 #[test]
 fn whole_wavelengths_are_flagged_by_a_fit_and_then_refined() {
     let scene = with_channels(COLOURS, &[("aberrations.segment_piston_rms_nm", "3000")]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let mut session = session(&scene, &images);
     session.fit(1, &FitOptions::default()).unwrap();
     assert!(result(&session).is_contradictory);
@@ -128,7 +128,7 @@ fn whole_wavelengths_are_flagged_by_a_fit_and_then_refined() {
 #[test]
 fn a_flipped_channel_is_flagged() {
     let scene = with_channels(PAIR, &[]);
-    let mut images = Images::simulated_channels(&scene).unwrap();
+    let mut images = Images::simulated(&scene).unwrap();
     let flipped = images[1].images_e.slice(s![.., .., 1..;-1]).to_owned();
     images[1].images_e.slice_mut(s![.., .., 1..]).assign(&flipped);
     let mut session = session(&scene, &images);
@@ -139,7 +139,7 @@ fn a_flipped_channel_is_flagged() {
 #[test]
 fn deadlines_cancels_and_frames_of_no_use() {
     let scene = with_channels(PAIR, &[]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let mut session = session(&scene, &images);
     assert!(session.results().is_empty() && session.channels()[0].results().is_empty());
     assert!(matches!(session.refine(0), Err(Error::Value(_))));
@@ -168,7 +168,7 @@ fn deadlines_cancels_and_frames_of_no_use() {
 #[test]
 fn groups_of_a_batch_have_the_bits_of_single_groups() {
     let scene = with_channels(PAIR, &[]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let mut empty = images.clone();
     empty[1].images_e.fill(3.0);
     let fitters = ChannelFitters::new(&scene).unwrap();
@@ -205,7 +205,7 @@ fn groups_of_a_batch_have_the_bits_of_single_groups() {
 #[test]
 fn a_list_of_one_channel_is_a_scene_of_one() {
     let scene = with_channels("[[image.channel]]\nname = \"plus\"\n", &[]);
-    let images = Images::simulated_channels(&scene).unwrap();
+    let images = Images::simulated(&scene).unwrap();
     let mut listed = session(&scene, &images);
     let fitter = std::sync::Arc::new(ModalFitter::new(&scene.channels()[0].scene, false).unwrap());
     let mut only = Session::new(fitter, &SessionOptions::default()).unwrap();

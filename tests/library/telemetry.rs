@@ -1,7 +1,7 @@
 //! Telemetry that does not belong to the images, images in another orientation, and images that
 //! change: each is named.
 
-use crate::common::assert_facts;
+use crate::common::{assert_facts, simulated};
 use crate::full_phase::{exposures, sky};
 use cophase::Status;
 use cophase::ao::Stepper;
@@ -178,7 +178,7 @@ fn changing_images_are_recognised_and_given_their_method() {
     assert!(auto.full_phase().is_some());
     assert!(auto.remarks.iter().any(|remark| remark.contains("chose \"full-phase\"")), "{:?}", auto.remarks);
     let source = scene(&[&MODAL[..], &[("image.count", "3"), ("estimate.method", "auto")]].concat());
-    let still = estimate(&source, &Images::simulated(&source).unwrap()).unwrap();
+    let still = estimate(&source, &simulated(&source)).unwrap();
     assert!(still.modal().is_some());
     assert!(still.remarks.iter().any(|remark| remark.contains("chose \"modal\"")), "{:?}", still.remarks);
 }

@@ -34,7 +34,7 @@ impl FrameReader {
     /// # Errors
     /// Those of [`Images::read`].
     pub fn read(&self, path: &Path, stamp: &Stamp) -> Result<FrameFile> {
-        let mut images = self.with_options(Images::read(path, self.mask.as_deref())?);
+        let mut images = self.with_options(Images::only(Images::read(path, self.mask.as_deref())?)?);
         if images.is_empty() {
             return Err(Error::file(path, "holds no image"));
         }

@@ -100,8 +100,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
     let scene = arguments.scene()?;
-    let images = Images::read(&arguments.images, arguments.mask.as_deref())?;
-    let before = arguments.before.as_ref().map(|path| Images::read(path, None)).transpose()?;
+    let images = Images::only(Images::read(&arguments.images, arguments.mask.as_deref())?)?;
+    let before = arguments.before.as_ref().map(|path| Images::only(Images::read(path, None)?)).transpose()?;
     let poke_nm = arguments.poke_nm.unwrap_or_default();
     let poke = match (&arguments.segment, arguments.actuator) {
         (Some(label), _) => Some(Poke::of_segment(&scene, label, poke_nm)?),

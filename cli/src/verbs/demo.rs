@@ -42,7 +42,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     outputs::check(&[("images", &images), ("estimate", &output), ("picture", &picture)], &[])?;
     let scene = Scene::preset("keck-artificial")?.with_override("aberrations.seed", &arguments.seed.to_string())?;
     image::make_file(&scene, &images, terminal, &interrupt)?;
-    let found = estimate::estimated(&images, &scene, &Images::read_channels(&images, None)?, terminal, &interrupt)?;
+    let found = estimate::estimated(&images, &scene, &Images::read(&images, None)?, terminal, &interrupt)?;
     estimate::write(&images, &found, &output, Some(&picture))?;
     estimate::print(&images, &found, arguments.json, terminal)?;
     if arguments.json {

@@ -106,7 +106,7 @@ fn make(
     let made = {
         let _wait =
             terminal.wait(&format!("Making {}", cophase_view::terminal::counted(scene.image.count, "image")), 1);
-        source::simulate_channels_with(scene, &|truth, scene, telescope| {
+        source::simulate_with(scene, &|truth, scene, telescope| {
             sent.iter().try_fold(truth, |truth, sent| sent.apply(truth, scene, telescope))
         })?
     };

@@ -152,14 +152,14 @@ fn aotpy_files_are_read_or_refused_with_the_missing_part() {
         assert!(estimate(&desk, name, &with_scene) == expected, "{name}");
     }
     // Another unit: slopes of the same size, to the rounding of a quotient and a product.
-    let slopes = |name: &str| Images::read(desk.path(name), None).unwrap().slopes_mas;
+    let slopes = |name: &str| Images::only(Images::read(desk.path(name), None).unwrap()).unwrap().slopes_mas;
     let (ours, converted) = (slopes("sky.fits").unwrap(), slopes("arcsec.fits").unwrap());
     assert_eq!(ours.dim(), converted.dim());
     assert!(ours.iter().zip(&converted).all(|(a, b)| (a - b).abs() <= 2.0 * f64::EPSILON * a.abs()));
 
     assert_eq!(slopes("no-slopes.fits"), None);
     assert_eq!(slopes("few.fits"), None);
-    let notes = Images::read(desk.path("few.fits"), None).unwrap().notes;
+    let notes = Images::only(Images::read(desk.path("few.fits"), None).unwrap()).unwrap().notes;
     assert!(
         notes.iter().any(|note| note.contains("3 measurements for 4 images") && note.contains("TIMESTAMPS")),
         "{notes:?}"

@@ -36,7 +36,7 @@ impl Case {
     /// well.
     fn of_source_seen_as(settings: &[(&str, &str)], assumed: &[(&str, &str)]) -> Self {
         let made = Scene::from_text(SMALL, Path::new("")).unwrap().with(settings).unwrap();
-        let images_e = cophase::source::simulate(&made).unwrap().images_e;
+        let images_e = cophase::source::simulate(&made).unwrap().remove(0).images_e;
         let scene = made.with(&[&[("estimate.device", "cpu")], assumed].concat()).unwrap();
         Self { scene: scene.text().into(), images_e, slopes_mas: None }
     }

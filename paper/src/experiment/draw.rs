@@ -41,7 +41,7 @@ pub fn draws_from(scene: &Scene, first: u64, count: usize, progress: &Progress) 
     let draw = |seed: u64| {
         progress.check()?;
         let drawn = scene.with_override("aberrations.seed", &seed.to_string())?;
-        let made = source::simulate(&drawn)?;
+        let made = source::simulate(&drawn)?.remove(0);
         let (rows, columns) = scene.image.fitted_shape();
         let image_e = made.images_e.index_axis_move(Axis(0), 0).slice_move(s![..rows, ..columns]);
         Ok(Draw { seed: seed as usize, image_e, flux_e: made.flux_e, truth: made.truth })

@@ -171,7 +171,7 @@ pub fn channels(rows: &[ChannelRow], seeds: usize, progress: &Progress) -> Resul
         let read = Scene::preset(row.preset)?.with(row.read)?;
         let estimator = Estimator::new(&read)?;
         let make = |seed: usize| {
-            let images = Images::simulated_channels(&made.with_override("aberrations.seed", &seed.to_string())?)?;
+            let images = Images::simulated(&made.with_override("aberrations.seed", &seed.to_string())?)?;
             let found = ChannelDraw::new(&estimator.estimate(&images)?)?;
             progress.add(1);
             Ok(found)

@@ -236,7 +236,7 @@ pub fn groups(rows: &[GroupRow], seeds: usize, directory: &Path, progress: &Prog
         for seed in 1..=seeds {
             progress.check()?;
             let scene = row.scene(seed, directory)?;
-            let images = Images::simulated_channels(&scene)?;
+            let images = Images::simulated(&scene)?;
             found.push(&Estimator::new(&scene)?.estimate(&images)?)?;
             progress.add(1);
         }

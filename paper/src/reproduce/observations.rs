@@ -98,9 +98,8 @@ pub fn observations(seeds: usize, progress: &Progress) -> Result<Observations> {
             let (mut squares, mut flagged) = ([0.0; 2], 0);
             for seed in 1..=seeds {
                 progress.check()?;
-                let images = Images::simulated_channels(
-                    &observation.scene.with_override("aberrations.seed", &seed.to_string())?,
-                )?;
+                let images =
+                    Images::simulated(&observation.scene.with_override("aberrations.seed", &seed.to_string())?)?;
                 let estimate = estimator.estimate(&images)?;
                 let Some((_, residual)) = &estimate.truth else {
                     return Err(Error::Internal("a simulated image has no truth".into()));

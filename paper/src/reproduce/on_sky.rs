@@ -72,7 +72,7 @@ impl Sequence {
         let seed = seed.to_string();
         if !row.has_loop() {
             let drawn = scene.with_override("aberrations.seed", &seed)?;
-            let made = source::simulate(&drawn)?;
+            let made = source::simulate(&drawn)?.remove(0);
             let slopes_mas = Array2::zeros((made.images_e.len_of(Axis(0)), 0));
             let (phasing_nm, ncpa_nm) = (made.truth.phasing_nm, made.truth.ncpa_nm);
             return Ok(Self { images_e: made.images_e, slopes_mas, phasing_nm, ncpa_nm, run: None });

@@ -117,9 +117,9 @@ impl WavefrontRow {
 
     /// The images of a draw, of which the last ones are of another wavefront.
     fn images(&self, scene: &Scene, seed: usize, directory: &Path) -> Result<Images> {
-        let mut images = Images::simulated(scene)?;
+        let mut images = Images::only(Images::simulated(scene)?)?;
         if self.foreign > 0 {
-            let other = Images::simulated(&self.scene(seed, self.by_nm, directory)?)?;
+            let other = Images::only(Images::simulated(&self.scene(seed, self.by_nm, directory)?)?)?;
             for image in self.images - self.foreign..self.images {
                 images.images_e.index_axis_mut(Axis(0), image).assign(&other.images_e.index_axis(Axis(0), image));
             }

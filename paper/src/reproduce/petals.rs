@@ -105,7 +105,7 @@ pub fn petals(seeds: usize, quick: bool, progress: &Progress) -> Result<PetalTab
             let scene = case.scene.with_override(case.key, amplitude)?;
             let draw = |seed: usize| {
                 progress.check()?;
-                let images = Images::simulated_channels(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
+                let images = Images::simulated(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
                 let found = PetalDraw::new(&estimator.estimate(&images)?, case)?;
                 progress.add(1);
                 Ok(found)

@@ -14,7 +14,7 @@ use std::sync::Arc;
 fn a_session_warns_of_a_lost_device() {
     let settings = [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", "2")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
-    let made = crate::source::simulate(&scene).unwrap();
+    let made = crate::source::simulate(&scene).unwrap().remove(0);
     let fitter = Arc::new(ModalFitter::new(&scene, true).unwrap());
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {
         let options = SessionOptions { capacity: 2, ..SessionOptions::default() };

@@ -126,7 +126,7 @@ mod tests {
     fn a_cube_is_cleaned_image_by_image() {
         let settings = [("image.count", "3"), ("image.pixels", "132"), ("pupil.samples", "64")];
         let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
-        let clean_e = crate::source::simulate(&scene).unwrap().images_e;
+        let clean_e = crate::source::simulate(&scene).unwrap().remove(0).images_e;
         let bad = clean_e.mapv(|_| false);
         assert!(reject_outliers(&scene, &clean_e, &bad, None).unwrap().is_none());
         let mut images_e = clean_e.clone();

@@ -12,7 +12,7 @@ fn images(directory: &Path) -> PathBuf {
     let images = directory.join("images.fits");
     let settings = [("image.count", "5"), ("image.peak_snr", "300"), ("aberrations.segment_piston_rms_nm", "50")];
     let scene = Scene::from_file(here().join("tiny.toml")).unwrap().with(&settings).unwrap();
-    source::write(&images, &scene, scene.text(), &source::simulate_channels(&scene).unwrap()).unwrap();
+    source::write(&images, &scene, scene.text(), &source::simulate(&scene).unwrap()).unwrap();
     images
 }
 

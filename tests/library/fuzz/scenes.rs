@@ -105,7 +105,10 @@ fn build(text: &str) -> (bool, bool) {
     let estimator = ModalFitter::new(&scene, false).inspect_err(probes::one_sentence);
     let images = source::simulate(&scene).inspect_err(probes::one_sentence);
     if let Ok(images) = images {
-        assert!(images.images_e.iter().all(|e| e.is_finite()), "an image that is not finite:\n{text}");
+        assert!(
+            images.iter().flat_map(|images| &images.images_e).all(|e| e.is_finite()),
+            "an image that is not finite:\n{text}"
+        );
     }
     (true, estimator.is_ok())
 }

@@ -2,10 +2,9 @@
 //! where it resolves no descent.
 
 use super::scene;
-use crate::common::chains;
+use crate::common::{chains, source_images};
 use cophase::Control;
 use cophase::modal::{Cube, ModalFitter, Status};
-use cophase::source;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
 
@@ -35,7 +34,7 @@ fn every_chain_finds_the_estimate_of_the_double_precision_cpu() {
         ];
         let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
         let scene = scene(&settings);
-        let made = source::simulate(&scene).unwrap();
+        let made = source_images(&scene);
         let estimator = ModalFitter::new(&scene, false).unwrap();
         let bad = made.images_e.mapv(|_| false);
         let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };

@@ -1,7 +1,7 @@
 //! Telescopes, modes and diversities that a caller gives as arrays.
 
-use super::{scene, source};
-use crate::common::assert_facts;
+use super::scene;
+use crate::common::{assert_facts, source_images};
 use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::io::{Column, FitsWriter, Pixel};
@@ -163,7 +163,7 @@ fn arrays_and_files_are_the_same_model() {
     let (a, b) = (psf(&of_arrays), psf(&of_files));
     let peak = b.iter().copied().fold(0.0, f64::max);
     assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-11 * peak));
-    let made = source::simulate(&plain).unwrap();
+    let made = source_images(&plain);
     let (a, b) = (fit(&of_arrays, &made.images_e), fit(&of_files, &made.images_e));
     // Both stop within 1e-3 nm of one minimum.
     let (a, b) = (&a.combined.modes.coefficients_nm, &b.combined.modes.coefficients_nm);

@@ -1,9 +1,9 @@
 //! What images cannot tell from the NCPA: an error of the diversity.
 
 use super::scene;
+use crate::common::source_images;
 use cophase::Error;
 use cophase::modal::{Accumulator, FitOptions, ModalFitter, Session, SessionOptions};
-use cophase::source;
 use ndarray::Axis;
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ fn diversity_error_needs_a_focus_in_the_modes() {
 fn diversity_error_is_in_the_error_bars_of_any_sequence() {
     let known = scene(&[HELD, ("image.count", "3")]);
     let unsure = scene(&[HELD, ("image.count", "3"), ("estimate.diversity_error", "0.02")]);
-    let images_e = source::simulate(&known).unwrap().images_e;
+    let images_e = source_images(&known).images_e;
     let kept = |scene| {
         let estimator = Arc::new(ModalFitter::new(scene, false).unwrap());
         let mut session =

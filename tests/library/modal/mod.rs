@@ -7,11 +7,12 @@ mod optics;
 mod sequence;
 mod session;
 
+use crate::common::source_images;
 use cophase::Control;
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, ModalEstimate, ModalFitter, ModelCache, Recipe, Refusal, Status, fitter_of};
 use cophase::scene::{Scene, System};
-use cophase::source::{self, SourceImages};
+use cophase::source::SourceImages;
 use ndarray::{Array2, Array3, Axis, s};
 
 /// Seven segments and 11 Zernikes, 48 samples, images of 32 λ/D at 3 pixels per λ/D (no reduction).
@@ -78,7 +79,7 @@ fn promised(estimator: &ModalFitter, estimate: &ModalEstimate) -> [f64; 2] {
 #[test]
 fn one_image_gives_both_maps_within_their_error_bars() {
     let scene = scene(&[EXPLAINED_SNR, ("pupil.samples", "128"), ("aberrations.truth_samples", "1024")]);
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let bad = made.images_e.mapv(|_| false);
     let (estimator, found) = estimate(&scene, &made.images_e, &bad);
     assert_eq!(found.images[0].status, Status::Ok, "{:?}", found.images[0]);
@@ -97,7 +98,7 @@ fn large_defocuses_are_fitted_on_more_samples() {
         let own = [("image.diversity_focus_waves_rms", waves), ("image.pixels", "192")].into_iter();
         let own = own.chain(samples.map(|samples| ("estimate.samples", samples)));
         let scene = scene(&own.collect::<Vec<_>>());
-        let made = source::simulate(&scene).unwrap();
+        let made = source_images(&scene);
         let (fitter, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
         let ratios = residuals(&fitter, &found, &made).into_iter().zip(promised(&fitter, &found)).map(|(a, b)| a / b);
         let samples = fitter.model().optics.sampling().samples;
@@ -117,7 +118,7 @@ fn outlier_pixels_are_rejected_in_images_with_a_misfit() {
     // Each pixel by itself, and four of nine in one, where a hole would be smeared.
     for sampling in ["native", "nyquist"] {
         let scene = scene(&[EXPLAINED_SNR, NOISE_ALONE, ("estimate.sampling", sampling)]);
-        let made = source::simulate(&scene).unwrap();
+        let made = source_images(&scene);
         let bad = made.images_e.mapv(|_| false);
         let (_, clean) = estimate(&scene, &made.images_e, &bad);
         assert_eq!(
@@ -149,7 +150,7 @@ fn outlier_pixels_are_rejected_in_images_with_a_misfit() {
 #[test]
 fn bad_pixels_cost_nothing_when_marked() {
     let scene = scene(&[]);
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let (mut images, mut bad) = (made.images_e.clone(), made.images_e.mapv(|_| false));
     for i in (7..images.len()).step_by(97) {
         let at = (0, i / 132 % 132, i % 132);
@@ -170,7 +171,7 @@ fn bad_pixels_cost_nothing_when_marked() {
 #[test]
 fn a_shifted_image_gives_the_same_maps_and_reports_the_shift() {
     let scene = scene(&[]);
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let mut shifted = Array3::from_elem(made.images_e.dim(), 0.0);
     // Nine pixels to the right, five down.
     shifted.slice_mut(s![.., ..127, 9..]).assign(&made.images_e.slice(s![.., 5.., ..123]));
@@ -194,7 +195,7 @@ fn a_shifted_image_gives_the_same_maps_and_reports_the_shift() {
 #[test]
 fn a_mirrored_detector_is_undone_by_the_flip() {
     let plain = scene(&[]);
-    let made = source::simulate(&plain).unwrap();
+    let made = source_images(&plain);
     // Pixel 0 mirrors onto pixel 132, which is not there.
     let mut mirrored = made.images_e.clone();
     mirrored.slice_mut(s![.., .., 1..]).assign(&made.images_e.slice(s![.., .., 1..;-1]));
@@ -214,7 +215,7 @@ fn a_mirrored_detector_is_undone_by_the_flip() {
 fn a_sequence_averages_and_leaves_out_what_it_cannot_use() {
     // Bright images show the sampling of the pupil, which does not average out.
     let scene = scene(&[("image.count", "6"), ("image.peak_snr", "100")]);
-    let mut made = source::simulate(&scene).unwrap();
+    let mut made = source_images(&scene);
     let bad = made.images_e.mapv(|_| false);
     let (_, all) = estimate(&scene, &made.images_e, &bad);
     let one =
@@ -239,7 +240,7 @@ fn segment_tip_and_tilt_are_found() {
         ("aberrations.ncpa_zernikes", "[4, 6]"),
         EXPLAINED_SNR,
     ]);
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let bad = made.images_e.mapv(|_| false);
     let (estimator, found) = estimate(&scene, &made.images_e, &bad);
     assert_eq!(found.images[0].status, Status::Ok, "{:?}", found.images[0]);
@@ -268,7 +269,7 @@ fn segment_tip_and_tilt_are_found() {
 #[test]
 fn the_same_input_gives_the_same_bits() {
     let scene = scene(&[("image.count", "2")]);
-    let (a, b) = (source::simulate(&scene).unwrap(), source::simulate(&scene).unwrap());
+    let (a, b) = (source_images(&scene), source_images(&scene));
     assert_eq!(a.images_e, b.images_e);
     let bad = a.images_e.mapv(|_| false);
     let (x, y) = (estimate(&scene, &a.images_e, &bad).1, estimate(&scene, &b.images_e, &bad).1);
@@ -308,7 +309,7 @@ fn a_telescope_from_fine_maps_is_read_back() {
     file.image("SEGMENT", &pupil.owner.mapv(f64::from), Pixel::I32, "").unwrap();
     file.finish().unwrap();
     let scene = scene_of_file(folder.path(), "pupil.fits", 4.8, "piston");
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let (estimator, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
     let residuals = residuals(&estimator, &found, &made);
     println!("residuals {residuals:?}, chi2 {}", found.reduced_chi2());
@@ -336,7 +337,7 @@ fn the_real_keck_pupil_is_read_back() {
             NOISE_ALONE,
         ])
         .unwrap();
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let (estimator, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
     let [_, ncpa] = residuals(&estimator, &found, &made);
     println!("NCPA residual {ncpa:.3} nm, chi2 {}", found.reduced_chi2());

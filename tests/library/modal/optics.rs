@@ -1,10 +1,10 @@
 //! Optics that are not the scene's, fitted beside the modes.
 
 use super::{NOISE_ALONE, estimate, promised, residuals, scene};
+use crate::common::source_images;
 use cophase::Error;
 use cophase::modal::{Cube, ModalFitter};
 use cophase::scene::Scene;
-use cophase::source;
 use ndarray::Array3;
 
 const NO_NCPA: [(&str, &str); 3] =
@@ -13,7 +13,7 @@ const NO_NCPA: [(&str, &str); 3] =
 /// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars
 /// promise, nm.
 fn found(made: &Scene, scene: &Scene) -> (ModalFitter, [f64; 2], [f64; 2]) {
-    let made = source::simulate(made).unwrap();
+    let made = source_images(made);
     let (estimator, found) = estimate(scene, &made.images_e, &made.images_e.mapv(|_| false));
     let (residuals, promised) = (residuals(&estimator, &found, &made), promised(&estimator, &found));
     (estimator, residuals, promised)
@@ -93,7 +93,7 @@ fn the_diffusion_of_charge_is_found() {
 fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     // As it is sampled where a plate scale is fitted.
     let own = scene(&[("estimate.sampling", "native"), NOISE_ALONE]);
-    let made = source::simulate(&own).unwrap();
+    let made = source_images(&own);
     let bad = made.images_e.mapv(|_| false);
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
     let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());

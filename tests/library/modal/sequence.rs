@@ -1,6 +1,7 @@
 //! Sequences of short exposures: a static wavefront under one that changes from image to image.
 
 use super::scene;
+use crate::common::source_images;
 use cophase::Control;
 use cophase::Error;
 use cophase::imaging::{Chain, Precision};
@@ -190,7 +191,7 @@ fn subsets_are_combined_without_another_fit() {
 fn noise_only_sequence_has_error_bars_of_its_fisher_matrix() {
     // A star so faint that the sampling of the pupil is below the noise of twelve images.
     let scene = scene(&[("image.count", "12"), ("image.peak_snr", "50")]);
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let (estimator, found) = fit(Recipe::from_scene(&scene), &made.images_e);
     assert!(found.mean_residual_chi2 < 1.1, "{}", found.mean_residual_chi2);
     assert!(found.images.iter().all(|image| image.status == Status::Ok) && found.combined.clipped_images.is_empty());
@@ -206,7 +207,7 @@ fn noise_only_sequence_has_error_bars_of_its_fisher_matrix() {
 
 #[test]
 fn paper_objective_reaches_its_minimum_in_fewer_evaluations() {
-    let artificial = source::simulate(&scene(&[])).unwrap().images_e;
+    let artificial = source_images(&scene(&[])).images_e;
     let turbulent = Maker::new(5).sequence(2, 100.0).images_e;
     for (what, images_e) in [("artificial", artificial), ("turbulent", turbulent)] {
         let [bfgs, paper] = ["bfgs", "paper"].map(|optimizer| {
@@ -238,7 +239,7 @@ fn estimate_open(settings: &[(&str, &str)]) -> (ModalFitter, ModalEstimate, sour
     let text = scene(settings).text().to_owned();
     let open = text.lines().filter(|line| !line.starts_with("exact_zernikes")).map(|line| format!("{line}\n"));
     let scene = Scene::from_text(&open.collect::<String>(), std::path::Path::new("")).unwrap();
-    let made = source::simulate(&scene).unwrap();
+    let made = source_images(&scene);
     let bad = made.images_e.mapv(|_| false);
     let (fitter, found) = super::estimate(&scene, &made.images_e, &bad);
     (fitter, found, made)
@@ -274,7 +275,7 @@ fn error_bars_of_many_bright_images_include_model_errors() {
     for peak_snr in ["250", "500"] {
         let coarse = ("estimate.samples", "64");
         let scene = scene(&[("image.count", "12"), ("image.peak_snr", peak_snr), coarse, super::NOISE_ALONE]);
-        let made = source::simulate(&scene).unwrap();
+        let made = source_images(&scene);
         let (fitter, found) = fit_scene(&scene, &made.images_e);
         let at = Array1::from(found.combined.modes.coefficients_nm.clone());
         let noise = fitter.bound(at.view(), made.flux_e, 0.0).unwrap();

@@ -1,6 +1,7 @@
 //! A session gives what the estimator gives, and says what became of each image.
 
 use super::scene;
+use crate::common::source_images;
 use cophase::Control;
 use cophase::Error;
 use cophase::imaging::{Chain, Choice, Precision};
@@ -9,7 +10,6 @@ use cophase::modal::{
 };
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
-use cophase::source;
 use ndarray::{Array2, Array3, Axis, s};
 use std::sync::Arc;
 use std::time::Duration;
@@ -49,7 +49,7 @@ fn session_has_the_bits_of_the_estimator_at_any_thread_count() {
         // A session does not restart a misfit.
         let settings = [("image.count", "5"), ("estimate.weighting", weighting), ("estimate.restarts", "0")];
         let scene = scene(&settings);
-        let mut images_e = source::simulate(&scene).unwrap().images_e;
+        let mut images_e = source_images(&scene).images_e;
         images_e.index_axis_mut(Axis(0), 2).fill(4.0);
         let estimator = estimator(&scene);
         let estimate = batch(&estimator, &images_e);
@@ -88,7 +88,7 @@ fn dead_lines_and_blocks_are_masked() {
     let scene = scene(&[("image.samples_per_lambda_over_d", "2"), ("image.pixels", "88")]);
     let estimator = estimator(&scene);
     let mut session = session(&estimator, SessionOptions::default());
-    let mut images_e = source::simulate(&scene).unwrap().images_e;
+    let mut images_e = source_images(&scene).images_e;
     // Rows and columns.
     let dead = [s![0..88, 20..23], s![30..34, 31..35]];
     for mut image_e in images_e.outer_iter_mut() {
@@ -111,7 +111,7 @@ fn dead_pixels_without_light_refuse_no_frame() {
     // Reduced for the fit, and of a star whose light does not reach the corner.
     let scene = scene(&[("image.peak_snr", "50")]);
     let mut session = session(&estimator(&scene), SessionOptions::default());
-    let mut images_e = source::simulate(&scene).unwrap().images_e;
+    let mut images_e = source_images(&scene).images_e;
     images_e.slice_mut(s![.., 2..6, 3..7]).fill(0.0);
     fill(&mut session, &images_e);
     session.fit(1, &FitOptions::default()).unwrap();
@@ -121,7 +121,7 @@ fn dead_pixels_without_light_refuse_no_frame() {
 #[test]
 fn the_covariance_is_that_of_a_single_image() {
     let scene = scene(&[]);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let estimator = estimator(&scene);
     let mut session = session(&estimator, SessionOptions::default());
     assert!(matches!(session.refine(0), Err(Error::Value(_))));
@@ -138,7 +138,7 @@ fn the_covariance_is_that_of_a_single_image() {
 #[test]
 fn a_deadline_stops_the_call_with_the_best_so_far() {
     let scene = scene(&[("image.count", "3")]);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let estimator = estimator(&scene);
     let options = SessionOptions { capacity: 3, ..SessionOptions::default() };
     let mut session = session(&estimator, options);
@@ -170,7 +170,7 @@ fn a_deadline_stops_the_call_with_the_best_so_far() {
 #[test]
 fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
     let scene = scene(&[super::EXPLAINED_SNR]);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
     session.control().cancel();
@@ -183,7 +183,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
 #[test]
 fn start_near_the_truth_takes_fewer_evaluations() {
     let scene = scene(&[]);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
     session.fit(1, &FitOptions::default()).unwrap();
@@ -201,7 +201,7 @@ fn start_near_the_truth_takes_fewer_evaluations() {
 #[test]
 fn evaluations_are_those_of_the_chain() {
     let scene = scene(&[("image.count", "2")]);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let estimator = estimator(&scene);
     let modes = estimator.model().optics.modes();
     let at = Array2::from_shape_fn((2, modes), |(i, k)| ((i * modes + k) as f64).sin() * 5.0);
@@ -260,7 +260,7 @@ fn invalid_sessions_are_refused_with_the_reason() {
 #[test]
 fn bad_pixels_in_a_frame_to_be_reduced_are_refused() {
     let scene = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176")]);
-    let images_e = source::simulate(&scene).unwrap().images_e;
+    let images_e = source_images(&scene).images_e;
     let estimator = estimator(&scene);
     assert!(estimator.model().preparation.reduced[0] < 176);
     let mut session = session(&estimator, SessionOptions::default());

@@ -28,9 +28,9 @@ impl Arguments {
         let mut channels = Vec::new();
         for (name, file) in self.sources() {
             match name {
-                None => channels.extend(Images::read_channels(file, self.mask.as_deref())?),
+                None => channels.extend(Images::read(file, self.mask.as_deref())?),
                 Some(name) => {
-                    let images = Images::read(file, self.mask.as_deref())?;
+                    let images = Images::only(Images::read(file, self.mask.as_deref())?)?;
                     channels.push(Images { channel: Some(name.into()), ..images });
                 }
             }

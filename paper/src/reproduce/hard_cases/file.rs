@@ -16,7 +16,7 @@ pub(super) fn read_back(images_e: &Array3<f64>, cards: Settings) -> Result<Image
         file.card("IMAGES", keyword, card, "")?;
     }
     file.finish()?;
-    Images::read(&path, None)
+    Images::only(Images::read(&path, None)?)
 }
 
 #[cfg(test)]

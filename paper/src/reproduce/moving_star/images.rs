@@ -40,7 +40,7 @@ impl<'a> Observatory<'a> {
     pub fn new(scene: &'a Scene) -> Result<Self> {
         let telescope = Telescope::new(scene)?;
         let zernikes = SmoothBasis::zernike(Zernikes::new(NOLLS, 0.5 * telescope.pupil.grid.width_m())?);
-        Ok(Self { scene, zernikes, flux_e: source::simulate(scene)?.flux_e, telescope })
+        Ok(Self { scene, zernikes, flux_e: source::simulate(scene)?[0].flux_e, telescope })
     }
 
     /// The image of a moment without bad pixels, electrons, `[y, x]`.

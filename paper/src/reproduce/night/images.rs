@@ -46,7 +46,7 @@ pub struct Cameraman<'a> {
 
 impl<'a> Cameraman<'a> {
     pub fn new(scene: &'a Scene, case: &Case, scenario: &'a Scenario) -> Result<Self> {
-        let first = source::simulate(scene)?;
+        let first = source::simulate(scene)?.remove(0);
         let telescope = Telescope::new(scene)?;
         let radius_m = 0.5 * telescope.pupil.grid.width_m();
         let zernikes = SmoothBasis::zernike(Zernikes::new(NOLLS, radius_m)?);

@@ -24,7 +24,7 @@ impl Batch {
         let settings =
             [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", &count)];
         let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
-        let mut images_e = crate::source::simulate(&scene).unwrap().images_e;
+        let mut images_e = crate::source::simulate(&scene).unwrap().remove(0).images_e;
         images_e.index_axis_mut(ndarray::Axis(0), 4).fill(5.0);
         Self { fitter: ModalFitter::new(&scene, true).unwrap(), images_e }
     }
