@@ -217,7 +217,9 @@ pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session)
 /// sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels;
 ///   NULL if they are not wanted. The channels are weighed, and error bars are, as at a flat
 ///   wavefront with the flux and the noise of the frames, scaled by chi-square where a model
-///   misfits or the channels contradict each other. NaN for one channel, whose covariance
+///   misfits or the channels contradict each other. They hold the noise, and not what the scene
+///   does not know (plate scale, defocus, gains) nor what the modes leave out:
+///   cophase_estimator_estimate has these. NaN for one channel, whose covariance
 ///   cophase_session_refine has.
 /// modes: the model's number of modes.
 /// images: receives count x channels reports in C order, of image_size bytes each; NULL if they are

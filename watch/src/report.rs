@@ -33,7 +33,9 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
     if !segments.is_empty() {
         let text = "After the last frame, tracked.";
         sections.push(html::section("Mirror", &format!("{}<p>{text}</p>", html::mirror(&segments))));
-        sections.push(html::section("Segments", &segment_table(&segments)));
+        let note = "Error bars hold noise and drift. Errors that all frames share, of the scene and of what the modes leave out, are \
+                    not in them: cophase estimate has these.";
+        sections.push(html::section("Segments", &format!("{}<p>{note}</p>", segment_table(&segments))));
     }
     sections.push(html::section("Trends", &trends(&done)));
     let rows: Vec<Vec<String>> =
