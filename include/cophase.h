@@ -254,6 +254,11 @@ cophase_status cophase_device_list(char *text, size_t capacity, size_t *length);
  */
 #define COPHASE_TEXT_CORRECTION_WARNINGS 16
 
+/* Text of an estimate: what error `index` of COPHASE_ARRAY_MODEL_ERRORS is, with the unit of its
+ * numbers where they are not relative.
+ */
+#define COPHASE_TEXT_MODEL_ERROR_NAME 17
+
 /* Policy: what the program and every other interface do: modes with a prior, a search for outlier
  * pixels, restarts, optics fitted where the scene asks for it, a larger model where the scene does
  * not explain them (estimate.model).
@@ -733,6 +738,21 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
  */
 #define COPHASE_ARRAY_CORRECTION_TILTS_NM 14
 
+/* Array: errors of the optics and the camera that the error bars hold, within the scene's
+ * [tolerance]: value, its standard deviation, that before the images, and the value by the images
+ * alone over its error bar; model_errors x 4.
+ */
+#define COPHASE_ARRAY_MODEL_ERRORS 15
+
+/* Array: as COPHASE_ARRAY_MAPS_NM, without focus and astigmatisms of the whole pupil, which a
+ * tolerance alone divides between segments and NCPA; 4 x samples x samples. Only where
+ * has_maps_without_staircases is 1.
+ */
+#define COPHASE_ARRAY_MAPS_WITHOUT_STAIRCASES_NM 16
+
+/* Array: RMS and expected error of phasing, NCPA and wavefront of these maps, nm; 3 x 2. */
+#define COPHASE_ARRAY_FIGURES_WITHOUT_STAIRCASES_NM 17
+
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt
  * removed.
  */
@@ -811,6 +831,10 @@ typedef struct {
    * COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength.
    */
   size_t integers;
+  /* Rows of COPHASE_ARRAY_MODEL_ERRORS; 0 where the error bars hold the noise alone. */
+  size_t model_errors;
+  /* 1 if COPHASE_ARRAY_MAPS_WITHOUT_STAIRCASES_NM is there, else 0. */
+  size_t has_maps_without_staircases;
 } cophase_estimate_info;
 
 /* Frees an estimate; NULL is fine. */
@@ -1053,7 +1077,9 @@ cophase_status cophase_session_cancel(const cophase_session *session);
  * sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels;
  *   NULL if they are not wanted. The channels are weighed, and error bars are, as at a flat
  *   wavefront with the flux and the noise of the frames, scaled by chi-square where a model
- *   misfits or the channels contradict each other. NaN for one channel, whose covariance
+ *   misfits or the channels contradict each other. They hold the noise, and not what the scene
+ *   does not know (plate scale, defocus, gains) nor what the modes leave out:
+ *   cophase_estimator_estimate has these. NaN for one channel, whose covariance
  *   cophase_session_refine has.
  * modes: the model's number of modes.
  * images: receives count x channels reports in C order, of image_size bytes each; NULL if they are

@@ -8,6 +8,7 @@ use super::policy::policy_number;
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::*;
+use crate::modal::StaticMaps;
 use crate::pipeline::{Command, Commands, Corrections, Estimate, Figures, MethodResult};
 use crate::scene::AoKnowledge;
 use crate::{Error, Result};
@@ -74,6 +75,17 @@ pub const COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS: i32 = 13;
 /// of each, nm of wavefront RMS over the segment; tilts. Without elements where the estimate has no
 /// tilts of segments.
 pub const COPHASE_ARRAY_CORRECTION_TILTS_NM: i32 = 14;
+
+/// Array: errors of the optics and the camera that the error bars hold, within the scene's
+/// [tolerance]: value, its standard deviation, that before the images, and the value by the images
+/// alone over its error bar; model_errors x 4.
+pub const COPHASE_ARRAY_MODEL_ERRORS: i32 = 15;
+/// Array: as COPHASE_ARRAY_MAPS_NM, without focus and astigmatisms of the whole pupil, which a
+/// tolerance alone divides between segments and NCPA; 4 x samples x samples. Only where
+/// has_maps_without_staircases is 1.
+pub const COPHASE_ARRAY_MAPS_WITHOUT_STAIRCASES_NM: i32 = 16;
+/// Array: RMS and expected error of phasing, NCPA and wavefront of these maps, nm; 3 x 2.
+pub const COPHASE_ARRAY_FIGURES_WITHOUT_STAIRCASES_NM: i32 = 17;
 
 /// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt
 /// removed.
@@ -150,6 +162,10 @@ pub struct cophase_estimate_info {
     /// Number of segments whose whole wavelengths were determined, rows of
     /// COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength.
     pub integers: usize,
+    /// Rows of COPHASE_ARRAY_MODEL_ERRORS; 0 where the error bars hold the noise alone.
+    pub model_errors: usize,
+    /// 1 if COPHASE_ARRAY_MAPS_WITHOUT_STAIRCASES_NM is there, else 0.
+    pub has_maps_without_staircases: usize,
 }
 
 /// A call that reads the estimate.
@@ -231,6 +247,8 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
         telemetry_correlation: telemetry.map_or(f64::NAN, |check| check.correlation),
         channels: estimate.channels.len(),
         integers: estimate.integers.len(),
+        model_errors: estimate.model_errors.len(),
+        has_maps_without_staircases: estimate.without_staircases.is_some().into(),
     }
 }
 
@@ -298,6 +316,23 @@ fn channels(commands: &Option<Commands>) -> &[Command] {
     commands.as_ref().map_or(&[], |commands| &commands.channels)
 }
 
+/// Figures and maps, with their error bars, without the shapes that a tolerance alone divides.
+fn without_staircases(estimate: &Estimate) -> Result<(&Figures, [&StaticMaps; 2])> {
+    let none = || {
+        let why = "the images divide all shapes between segments and NCPA (has_maps_without_staircases is 0)";
+        Error::Value(format!("there are no maps without staircases: {why}; the maps of the estimate are accepted"))
+    };
+    let without = estimate.without_staircases.as_ref().ok_or_else(none)?;
+    Ok((&without.figures, [&without.maps, &without.sigma_maps]))
+}
+
+/// Shape and values of maps and of their error bars.
+fn four_maps(maps: &StaticMaps, sigma_maps: &StaticMaps) -> (Vec<usize>, Vec<f64>) {
+    let (rows, cols) = maps.phasing_nm.dim();
+    let maps = [&maps.phasing_nm, &maps.ncpa_nm, &sigma_maps.phasing_nm, &sigma_maps.ncpa_nm];
+    (vec![maps.len(), rows, cols], maps.into_iter().flatten().copied().collect())
+}
+
 /// Shape and values of an array.
 fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
     let EstimateState { estimate, corrections } = found;
@@ -332,11 +367,19 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
                 return Err(Error::Value(none.into()));
             }
         },
-        COPHASE_ARRAY_MAPS_NM => {
-            let Estimate { maps, sigma_maps, .. } = estimate;
-            let (rows, cols) = maps.phasing_nm.dim();
-            let maps = [&maps.phasing_nm, &maps.ncpa_nm, &sigma_maps.phasing_nm, &sigma_maps.ncpa_nm];
-            (vec![maps.len(), rows, cols], maps.into_iter().flatten().copied().collect())
+        COPHASE_ARRAY_MAPS_NM => four_maps(&estimate.maps, &estimate.sigma_maps),
+        COPHASE_ARRAY_MAPS_WITHOUT_STAIRCASES_NM => {
+            let (_, [maps, sigma_maps]) = without_staircases(estimate)?;
+            four_maps(maps, sigma_maps)
+        }
+        COPHASE_ARRAY_FIGURES_WITHOUT_STAIRCASES_NM => {
+            let (Figures { phasing, ncpa, wavefront }, _) = without_staircases(estimate)?;
+            (vec![3, 2], [phasing, ncpa, wavefront].iter().flat_map(|one| [one.rms_nm, one.sigma_nm]).collect())
+        }
+        COPHASE_ARRAY_MODEL_ERRORS => {
+            let errors = &estimate.model_errors;
+            let each = errors.iter().flat_map(|one| [one.value, one.sigma, one.tolerance, one.significance]);
+            (vec![errors.len(), 4], each.collect())
         }
         COPHASE_ARRAY_ERROR_BUDGET_NM => {
             let terms = &estimate.error_budget;
@@ -395,6 +438,7 @@ pub unsafe extern "C" fn cophase_estimate_text(
                     .map_or("", |why| why.word())
                     .into(),
                 COPHASE_TEXT_CORRECTION_WARNINGS => corrected(&found.corrections)?.warnings.join("\n"),
+                COPHASE_TEXT_MODEL_ERROR_NAME => at(&estimate.model_errors, index, "errors of the model")?.name.clone(),
                 COPHASE_TEXT_ERROR_TERM_NAME => at(&estimate.error_budget, index, "terms")?.name.clone(),
                 other => {
                     let known = "a COPHASE_TEXT_ number of estimates is accepted";

@@ -43,6 +43,10 @@ pub const COPHASE_TEXT_NCPA_HELD: i32 = 15;
 /// sentence a line.
 pub const COPHASE_TEXT_CORRECTION_WARNINGS: i32 = 16;
 
+/// Text of an estimate: what error `index` of COPHASE_ARRAY_MODEL_ERRORS is, with the unit of its
+/// numbers where they are not relative.
+pub const COPHASE_TEXT_MODEL_ERROR_NAME: i32 = 17;
+
 /// Element `index`.
 ///
 /// # Errors

@@ -10,11 +10,14 @@
  *   image INDEX STATUS CHI2 REJECTED CHANNEL
  *   channel NAME
  *   integer NUMBER PROBABILITY RUNNER_UP (nm)
+ *   error NAME VALUE SIGMA TOLERANCE SIGNIFICANCE
+ *   without PART RMS SIGMA               (nm, of phasing, ncpa and wavefront without staircases)
+ *   without A B C D                      (nm, these maps and their error bars in one sample)
  *   warning SENTENCE
  *   policy NAME
  *   device TEXT
  *
- * VALUE, SIGMA, CHI2, PROBABILITY and RUNNER_UP are the bits of doubles, 16 hexadecimal digits: the same in every language.
+ * All numbers but INDEX, REJECTED, CHANNEL and NUMBER are the bits of doubles, 16 hexadecimal digits: the same in every language.
  */
 #include "support.h"
 #include <inttypes.h>
@@ -50,6 +53,39 @@ static char *text_of(const cophase_estimate *estimate, int32_t what, size_t inde
     return text;
 }
 
+static void print_errors(const cophase_estimate *estimate, const cophase_estimate_info *info)
+{
+    double *numbers = doubles(4 * info->model_errors + 1);
+    size_t i;
+
+    if (info->model_errors > 0)
+        must(cophase_estimate_array(estimate, COPHASE_ARRAY_MODEL_ERRORS, numbers, 4 * info->model_errors));
+    for (i = 0; i < info->model_errors; i++) {
+        char *name = text_of(estimate, COPHASE_TEXT_MODEL_ERROR_NAME, i);
+
+        printf("error %s %016" PRIx64 " %016" PRIx64 " %016" PRIx64 " %016" PRIx64 "\n", name, bits(numbers[4 * i]),
+               bits(numbers[4 * i + 1]), bits(numbers[4 * i + 2]), bits(numbers[4 * i + 3]));
+        free(name);
+    }
+    free(numbers);
+}
+
+static void print_without_staircases(const cophase_estimate *estimate, size_t samples)
+{
+    static const char *const PARTS[] = {"phasing", "ncpa", "wavefront"};
+    const size_t size = samples * samples, at = samples / 2 * samples + samples / 4;
+    double figures[6], *maps = doubles(4 * size);
+    size_t i;
+
+    must(cophase_estimate_array(estimate, COPHASE_ARRAY_FIGURES_WITHOUT_STAIRCASES_NM, figures, 6));
+    must(cophase_estimate_array(estimate, COPHASE_ARRAY_MAPS_WITHOUT_STAIRCASES_NM, maps, 4 * size));
+    for (i = 0; i < 3; i++)
+        printf("without %s %016" PRIx64 " %016" PRIx64 "\n", PARTS[i], bits(figures[2 * i]), bits(figures[2 * i + 1]));
+    printf("without %016" PRIx64 " %016" PRIx64 " %016" PRIx64 " %016" PRIx64 "\n", bits(maps[at]), bits(maps[size + at]),
+           bits(maps[2 * size + at]), bits(maps[3 * size + at]));
+    free(maps);
+}
+
 static void print(const cophase_estimate *estimate)
 {
     cophase_estimate_info info;
@@ -83,6 +119,9 @@ static void print(const cophase_estimate *estimate)
         printf("integer %d %016" PRIx64 " %016" PRIx64 "\n", (int)integers[3 * i], bits(integers[3 * i + 1]),
                bits(integers[3 * i + 2]));
     free(integers);
+    print_errors(estimate, &info);
+    if (info.has_maps_without_staircases)
+        print_without_staircases(estimate, info.samples);
     text = text_of(estimate, COPHASE_TEXT_WARNINGS, 0);
     for (line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n"))
         printf("warning %s\n", line);

@@ -55,5 +55,18 @@ cellfun(@(name) printf('channel %s\n', name), e.channels);
 for k = 1:rows(e.integers)
     printf('integer %d %s %s\n', e.integers(k, 1), num2hex(e.integers(k, 2)), num2hex(e.integers(k, 3)));
 end
+for k = 1:numel(e.model_errors)
+    error_k = e.model_errors(k);
+    numbers = {error_k.value, error_k.sigma, error_k.tolerance, error_k.significance};
+    printf('error %s %s %s %s %s\n', error_k.name, cellfun(@num2hex, numbers, 'UniformOutput', false){:});
+end
+w = e.without_staircases;
+if ~isempty(w)
+    printf('without phasing %s %s\n', num2hex(w.phasing_rms_nm), num2hex(w.phasing_sigma_nm));
+    printf('without ncpa %s %s\n', num2hex(w.ncpa_rms_nm), num2hex(w.ncpa_sigma_nm));
+    printf('without wavefront %s %s\n', num2hex(w.wavefront_rms_nm), num2hex(w.wavefront_sigma_nm));
+    at = @(map) num2hex(map(floor(rows(map) / 2) + 1, floor(columns(map) / 4) + 1));
+    printf('without %s %s %s %s\n', at(w.phasing_nm), at(w.ncpa_nm), at(w.phasing_sigma_map_nm), at(w.ncpa_sigma_map_nm));
+end
 cellfun(@(sentence) printf('warning %s\n', sentence), e.warnings);
 printf('policy %s\ndevice %s\n', e.policy, e.device);

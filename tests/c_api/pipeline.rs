@@ -4,7 +4,7 @@
 use super::here;
 use cophase::Control;
 use cophase::ao::{Shot, Simulator};
-use cophase::pipeline::{Estimate, Estimator, Images};
+use cophase::pipeline::{Estimate, Estimator, Figures, Images};
 use cophase::scene::{AoKnowledge, Scene};
 use ndarray::{Array1, Array2, Array3, Axis, concatenate, stack};
 use std::path::Path;
@@ -35,6 +35,19 @@ fn expected(estimate: &Estimate) -> Vec<String> {
     lines.extend(
         integers.map(|one| format!("integer {} {} {}", one.integer, bits(one.probability), bits(one.runner_up_nm))),
     );
+    lines.extend(estimate.model_errors.iter().map(|error| {
+        let numbers = [error.value, error.sigma, error.tolerance, error.significance].map(bits).join(" ");
+        format!("error {} {numbers}", error.name)
+    }));
+    if let Some(without) = &estimate.without_staircases {
+        let Figures { phasing, ncpa, wavefront } = without.figures;
+        let figures = [("phasing", phasing), ("ncpa", ncpa), ("wavefront", wavefront)];
+        lines.extend(figures.map(|(name, one)| format!("without {name} {} {}", bits(one.rms_nm), bits(one.sigma_nm))));
+        let (maps, sigma) = (&without.maps, &without.sigma_maps);
+        let at = [maps.phasing_nm.nrows() / 2, maps.phasing_nm.ncols() / 4];
+        let maps = [&maps.phasing_nm, &maps.ncpa_nm, &sigma.phasing_nm, &sigma.ncpa_nm];
+        lines.push(format!("without {}", maps.map(|map| bits(map[at])).join(" ")));
+    }
     lines.extend(estimate.warnings.iter().map(|warning| format!("warning {warning}")));
     lines.extend([format!("policy {}", estimate.policy.name()), format!("device {}", estimate.run.device)]);
     lines
@@ -53,6 +66,9 @@ pub(super) const COLOURS: &str =
 pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
     if let Some(command) = command() {
         images_of_one_channel(command);
+    }
+    if let Some(command) = command() {
+        images_of_tilted_segments(command);
     }
     if let Some(command) = command() {
         images_of_two_channels(command);
@@ -103,6 +119,21 @@ fn images_of_two_channels(command: Command) {
         (&["K".to_string(), "H".into()][..], found.segment_modes())
     );
     compare(command, &scene, (&cube, 1), (None, Some("H,K")), &found);
+}
+
+/// Segments whose figures are not known well, so that a tolerance divides them from staircases.
+fn images_of_tilted_segments(command: Command) {
+    let settings = [
+        ("modes.segment", "piston-tip-tilt"),
+        ("aberrations.segment_piston_rms_nm", "60"),
+        ("aberrations.segment_tip_tilt_rms_nm", "20"),
+        ("tolerance.common_figure_nm", "50"),
+    ];
+    let scene = Scene::from_file(here().join("tiny.toml")).unwrap().with(&settings).unwrap();
+    let images_e = Images::simulated(&scene).unwrap().remove(0).images_e;
+    let found = Estimator::new(&scene).unwrap().estimate(&Images::new(images_e.clone())).unwrap();
+    assert!(found.without_staircases.is_some() && found.model_errors.len() > 5, "{:?}", found.model_errors);
+    compare(command, &scene, (&images_e, 1), (None, None), &found);
 }
 
 fn images_of_one_channel(command: Command) {

@@ -20,6 +20,8 @@ classdef Estimate < cophase.Handle
     %      telemetry_gain, telemetry_correlation                of the measured slopes with those of the retrieved
     %                                     wavefronts, about 1 where they belong together; NaN without telemetry
     %      channels, integers             numbers of channels and of segments in integers
+    %      model_errors                   their number
+    %      has_maps_without_staircases    1 if without_staircases is there, else 0
     %
     %   Methods:
     %      report   text, as the program prints it
@@ -56,6 +58,11 @@ classdef Estimate < cophase.Handle
         integers              % segments x 3, for channels of several wavelengths: whole wavelengths of the first channel that were
                               % added to the piston, their probability, piston of the next most probable number relative to this, nm
         error_budget          % terms x 3, a cell: name, contributions to the error bars of phasing and NCPA, nm RMS
+        model_errors          % errors of the optics and the camera that the error bars hold, a struct array: name, value, sigma,
+                              % tolerance (sigma before the images), significance (value by the images alone over its error bar)
+        without_staircases    % without focus and astigmatisms of the whole pupil, where a tolerance alone divides them between segments
+                              % and NCPA: a struct of the maps phasing_nm, ncpa_nm, phasing_sigma_map_nm, ncpa_sigma_map_nm and of RMS and
+                              % error bar phasing_rms_nm, phasing_sigma_nm, ncpa_..., wavefront_...; else []
     end
 
     methods
@@ -99,6 +106,19 @@ classdef Estimate < cophase.Handle
             terms = arrayfun(@(k) self.text('ERROR_TERM_NAME', k), (1:info.error_terms)', 'UniformOutput', false);
             budget_nm = reshape(self.array('ERROR_BUDGET_NM', 2 * info.error_terms), 2, [])';
             self.error_budget = [terms, num2cell(budget_nm)];
+            errors = reshape(self.array('MODEL_ERRORS', 4 * info.model_errors), 4, [])';
+            names = arrayfun(@(k) self.text('MODEL_ERROR_NAME', k), (1:info.model_errors)', 'UniformOutput', false);
+            self.model_errors = cell2struct([names, num2cell(errors)], {'name', 'value', 'sigma', 'tolerance', 'significance'}, 2);
+            if info.has_maps_without_staircases
+                values = self.array('MAPS_WITHOUT_STAIRCASES_NM', 4 * info.samples ^ 2);
+                maps_nm = cophase.Handle.maps(values, info.samples, info.samples);
+                figures_nm = self.array('FIGURES_WITHOUT_STAIRCASES_NM', 6);
+                self.without_staircases = struct( ...
+                    'phasing_nm', maps_nm(:, :, 1), 'ncpa_nm', maps_nm(:, :, 2), ...
+                    'phasing_sigma_map_nm', maps_nm(:, :, 3), 'ncpa_sigma_map_nm', maps_nm(:, :, 4), ...
+                    'phasing_rms_nm', figures_nm(1), 'phasing_sigma_nm', figures_nm(2), 'ncpa_rms_nm', figures_nm(3), ...
+                    'ncpa_sigma_nm', figures_nm(4), 'wavefront_rms_nm', figures_nm(5), 'wavefront_sigma_nm', figures_nm(6));
+            end
         end
 
         function text = report(self)

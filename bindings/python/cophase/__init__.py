@@ -39,7 +39,7 @@ from .errors import (
     Interrupted,
     PanicError,
 )
-from .estimate import Correction, Estimate
+from .estimate import Correction, Estimate, ModelError, WithoutStaircases
 from .estimator import Estimator, Progress
 from .model import Model
 from .sequence import Sequence, SequenceEstimate
@@ -64,6 +64,7 @@ __all__ = [
     "InternalError",
     "Interrupted",
     "Model",
+    "ModelError",
     "PanicError",
     "Progress",
     "RefinedFit",
@@ -72,6 +73,7 @@ __all__ = [
     "Session",
     "SessionFactory",
     "Simulator",
+    "WithoutStaircases",
     "devices",
     "preset",
     "scene_set",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,56 @@ class Correction:
     warnings: list[str]
 
 
+class ModelError(NamedTuple):
+    """An error of the optics or the camera that the scene takes to have none, within the scene's ``[tolerance]``.
+
+    Attributes
+    ----------
+    name : str
+        What is wrong, with the unit of the numbers where they are not relative.
+    value, sigma : float
+        Posterior mean and standard deviation.
+    tolerance : float
+        Standard deviation before the images.
+    significance : float
+        The value by the images alone, over its error bar.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    tolerance: float
+    significance: float
+
+
+@dataclass(frozen=True, eq=False)
+class WithoutStaircases:
+    """An estimate without focus and astigmatisms of the whole pupil, which a tolerance alone divides between segments and NCPA.
+
+    Attributes
+    ----------
+    phasing_nm, ncpa_nm : (samples, samples) array
+        Maps ``[y, x]``, nm; NaN outside the pupil.
+    phasing_sigma_map_nm, ncpa_sigma_map_nm : (samples, samples) array
+        Standard deviation of each sample of these maps, nm.
+    phasing_rms_nm, ncpa_rms_nm, wavefront_rms_nm : float
+        RMS of the maps and of their sum over the pupil, nm.
+    phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm : float
+        Their expected errors, nm RMS.
+    """
+
+    phasing_nm: NDArray[np.float64]
+    ncpa_nm: NDArray[np.float64]
+    phasing_sigma_map_nm: NDArray[np.float64]
+    ncpa_sigma_map_nm: NDArray[np.float64]
+    phasing_rms_nm: float
+    phasing_sigma_nm: float
+    ncpa_rms_nm: float
+    ncpa_sigma_nm: float
+    wavefront_rms_nm: float
+    wavefront_sigma_nm: float
+
+
 class Estimate(Handle):
     """Estimate of the static wavefront: modes, maps, error bars, reports on the images.
 
@@ -90,8 +140,8 @@ class Estimate(Handle):
         over the pupil, piston, tip and tilt removed; the last of a MAP estimate is an upper limit); ``reduced_chi2`` (median of the images used);
         ``images_to_halve`` (further images that halve both error bars); ``map_width_m``; ``seconds``,
         ``model_seconds``; ``telemetry_gain`` and ``telemetry_correlation`` of the measured slopes with those of the
-        retrieved wavefronts, about 1 where they belong together (NaN without telemetry); ``channels``, ``integers`` (their
-        numbers).
+        retrieved wavefronts, about 1 where they belong together (NaN without telemetry); ``channels``, ``integers``,
+        ``model_errors`` (their numbers); ``has_maps_without_staircases`` (1 or 0).
     policy, method, device : str
         Policy, method and device of the estimate.
     model : str
@@ -127,6 +177,10 @@ class Estimate(Handle):
     error_budget : list of (str, float, float)
         Terms of the error budget: name, and contribution to the error bars of phasing and NCPA, nm RMS over the pupil.
         Their squares add up to the squares of ``info.phasing_sigma_nm`` and ``info.ncpa_sigma_nm``.
+    model_errors : list of ModelError
+        Errors of the optics and the camera that the error bars hold; empty where these hold the noise alone.
+    without_staircases : WithoutStaircases, or None
+        Maps and figures without the shapes that a tolerance alone divides between segments and NCPA, where there are such.
     """
 
     def __init__(self, handle: Any) -> None:
@@ -153,6 +207,14 @@ class Estimate(Handle):
         self.integers = self._array("PISTON_INTEGERS", info.integers, 3)
         budget_nm = self._array("ERROR_BUDGET_NM", info.error_terms, 2).tolist()
         self.error_budget = [(self._text("ERROR_TERM_NAME", k), *term) for k, term in enumerate(budget_nm)]
+        errors = self._array("MODEL_ERRORS", info.model_errors, 4).tolist()
+        self.model_errors = [ModelError(self._text("MODEL_ERROR_NAME", k), *error) for k, error in enumerate(errors)]
+        self.without_staircases = self._without_staircases() if info.has_maps_without_staircases else None
+
+    def _without_staircases(self) -> WithoutStaircases:
+        samples = self.info.samples
+        maps_nm = self._array("MAPS_WITHOUT_STAIRCASES_NM", 4, samples, samples)
+        return WithoutStaircases(*maps_nm, *self._array("FIGURES_WITHOUT_STAIRCASES_NM", 3, 2).ravel().tolist())
 
     def _text(self, what: str, index: int = 0) -> str:
         return library_text(lib.cophase_estimate_text, self._handle, getattr(lib, f"COPHASE_TEXT_{what}"), index)

@@ -12,7 +12,7 @@ use cophase::{Error, Estimator, Images, Result};
 use cophase_view::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use ndarray::Array3;
 use rand_distr::{Distribution, StandardNormal};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Residual of the wavefront over its error bar from which a draw is a wrong minimum: a right one
 /// of 36 directions and more is below two.
@@ -106,11 +106,7 @@ impl GroupRow {
         ])?;
         match self.differences {
             Differences::Shapes { images, rms_nm, is_scale_fitted } => {
-                let path = std::path::absolute(directory.join(format!("shapes-{rms_nm:.0}nm.fits")))
-                    .map_err(|error| Error::file(directory, error))?;
-                if !path.exists() {
-                    write_shapes(&path, rms_nm)?;
-                }
+                let path = shapes_in(directory, rms_nm)?;
                 let planes: Vec<usize> = (0..images).map(|image| (seed + image) % SHAPES).collect();
                 let words = if is_scale_fitted { "[\"diversity\"]" } else { "[]" };
                 scene.with(&[
@@ -138,8 +134,18 @@ impl GroupRow {
     }
 }
 
+/// The file of the shapes of `rms_nm` in `directory`, written where it is not there.
+pub(super) fn shapes_in(directory: &Path, rms_nm: f64) -> Result<PathBuf> {
+    let path = std::path::absolute(directory.join(format!("shapes-{rms_nm:.0}nm.fits")))
+        .map_err(|error| Error::file(directory, error))?;
+    if !path.exists() {
+        write_shapes(&path, rms_nm)?;
+    }
+    Ok(path)
+}
+
 /// Writes shapes of `rms_nm`, random combinations of the Zernikes of Noll 4 to 11.
-pub(super) fn write_shapes(path: &Path, rms_nm: f64) -> Result<()> {
+fn write_shapes(path: &Path, rms_nm: f64) -> Result<()> {
     let mut rng = stream(1, 0);
     let mut shapes = Array3::zeros((SHAPES, SAMPLES, SAMPLES));
     for mut shape in shapes.outer_iter_mut() {

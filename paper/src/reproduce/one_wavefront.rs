@@ -1,7 +1,7 @@
 //! Images that are taken to be of one wavefront: how often clean ones are flagged, and whether
 //! those of another wavefront are said.
 
-use super::groups::write_shapes;
+use super::groups::shapes_in;
 use super::{Cell, Progress, Report, Table};
 use cophase::pipeline::Estimate;
 use cophase::scene::Scene;
@@ -101,11 +101,7 @@ impl WavefrontRow {
         if !self.is_group {
             return Ok(scene);
         }
-        let path = std::path::absolute(directory.join(format!("shapes-{SHAPES_NM:.0}nm.fits")))
-            .map_err(|error| Error::file(directory, error))?;
-        if !path.exists() {
-            write_shapes(&path, SHAPES_NM)?;
-        }
+        let path = shapes_in(directory, SHAPES_NM)?;
         let planes: Vec<usize> = (0..self.images).collect();
         scene.with(&[
             ("image.diversity_focus_waves_rms", ""),
