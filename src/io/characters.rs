@@ -4,13 +4,13 @@
 //! FITS allows printable ASCII only, and cfitsio reads nothing else. Headers hold other characters
 //! all the same, in UTF-8 or Latin-1: `2.1686 µm`, `[Å]`, names of observers. Units must be
 //! understood, so characters are decoded and written by ASCII ones of the same meaning; only those
-//! without an equivalent become `?`.
+//! without an equivalent become `?`. Texts that are written have the same form.
 
 /// ASCII letters of U+00C0 to U+00FF, which are letters with accents but for × and ÷.
 const ACCENTED: &[u8; 64] = b"AAAAAAACEEEEIIIIDNOOOOOxOUUUUYTsaaaaaaaceeeeiiiidnooooo/ouuuuyty";
 
 /// Characters with an equivalent of their own.
-const EQUIVALENTS: [(&[char], &str); 18] = [
+const EQUIVALENTS: [(&[char], &str); 29] = [
     // The micro sign and the Greek letter.
     (&['\u{b5}', 'μ'], "u"),
     (&['λ'], "lambda"),
@@ -20,6 +20,17 @@ const EQUIVALENTS: [(&[char], &str); 18] = [
     (&['δ', 'Δ'], "delta"),
     (&['σ', 'Σ'], "sigma"),
     (&['π'], "pi"),
+    (&['χ'], "chi"),
+    (&['θ'], "theta"),
+    (&['φ'], "phi"),
+    (&['ρ'], "rho"),
+    (&['τ'], "tau"),
+    (&['√'], "sqrt "),
+    (&['≤'], "<="),
+    (&['≥'], ">="),
+    (&['≈'], "~"),
+    (&['·'], "*"),
+    (&['…'], "..."),
     (&['°', 'º'], "deg"),
     (&['²'], "2"),
     (&['³'], "3"),
@@ -102,6 +113,8 @@ mod tests {
             ("4 e⁻/ADU", "4 e-/ADU"),
             ("−1.5", "-1.5"),
             ("λ of the filter", "lambda of the filter"),
+            ("the reduced χ² is ≤ 1.2·10⁻", "the reduced chi2 is <= 1.2*10-"),
+            ("half at −x, 3 × 3 pixels²", "half at -x, 3 x 3 pixels2"),
             ("plain", "plain"),
         ] {
             assert_eq!(ascii(text.as_bytes()), (expected.as_bytes().to_vec(), true), "{text}");

@@ -1,5 +1,7 @@
 //! Columns of the tables that are written.
 
+use super::characters;
+
 /// A column of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Column {
@@ -27,8 +29,8 @@ impl Column {
         Self { name: name.into(), unit: String::new(), values: Values::I64(values) }
     }
 
-    /// Text. FITS allows printable ASCII only: other characters are written as `?`, tabs as blanks;
-    /// trailing blanks are lost.
+    /// Text. FITS allows printable ASCII only: other characters are written as those of the same
+    /// meaning (χ² as `chi2`), or as `?`, tabs as blanks; trailing blanks are lost.
     pub fn text(name: &str, values: impl IntoIterator<Item = impl AsRef<str>>) -> Self {
         let values = values.into_iter().map(|text| ascii(text.as_ref())).collect();
         Self { name: name.into(), unit: String::new(), values: Values::Text(values) }
@@ -67,12 +69,12 @@ impl Column {
     }
 }
 
-/// `text` in printable ASCII, as FITS requires.
+/// `text` in printable ASCII, as FITS requires: characters of the same meaning, `?` for others.
 pub(super) fn ascii(text: &str) -> String {
-    let plain = |c: char| match c {
-        ' '..='~' => c,
-        '\t' => ' ',
+    let plain = |byte: u8| match byte {
+        b' '..=b'~' => char::from(byte),
+        b'\t' => ' ',
         _ => '?',
     };
-    text.chars().map(plain).collect()
+    characters::ascii(text.as_bytes()).0.into_iter().map(plain).collect()
 }

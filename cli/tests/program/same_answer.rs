@@ -97,6 +97,7 @@ impl Case {
 fn lines<'a>(
     modes: impl Iterator<Item = (&'a String, (f64, f64))>,
     images: impl Iterator<Item = (String, f64, i64)>,
+    errors: impl Iterator<Item = (&'a String, [f64; 4])>,
     warnings: &[String],
     (policy, device): (&str, &str),
 ) -> Vec<String> {
@@ -106,8 +107,14 @@ fn lines<'a>(
         // The scenes here have one channel, number 0.
         format!("image {image} {} {} {rejected} 0", status.to_uppercase().replace('-', "_"), bits(chi2))
     });
+    let errors = errors.map(|(name, numbers)| format!("error {name} {}", numbers.map(bits).join(" ")));
     let warnings = warnings.iter().map(|warning| format!("warning {warning}"));
-    modes.chain(images).chain(warnings).chain([format!("policy {policy}"), format!("device {device}")]).collect()
+    modes
+        .chain(images)
+        .chain(errors)
+        .chain(warnings)
+        .chain([format!("policy {policy}"), format!("device {device}")])
+        .collect()
 }
 
 fn of_rust(estimate: &Estimate) -> Vec<String> {
@@ -119,6 +126,10 @@ fn of_rust(estimate: &Estimate) -> Vec<String> {
         images.map(|image| {
             (image.report.status.word().into(), image.report.reduced_chi2, image.report.rejected.total() as i64)
         }),
+        estimate
+            .model_errors
+            .iter()
+            .map(|error| (&error.name, [error.value, error.sigma, error.tolerance, error.significance])),
         &estimate.warnings,
         (estimate.policy.name(), &estimate.run.device),
     )
@@ -137,10 +148,25 @@ fn of_program(desk: &Desk) -> Vec<String> {
         json["warnings"].as_array().unwrap().iter().map(|warning| warning.as_str().unwrap().into()).collect();
     let written = if warnings.is_empty() { Vec::new() } else { file.text_column("WARNINGS", "SENTENCE").unwrap() };
     assert_eq!(written, warnings);
+    // Not of a full-phase estimate. A table has its names in ASCII, which is tested beside it.
+    let has_errors = file.has("MODEL_ERRORS");
+    let errors: Vec<String> = json["model_errors"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|error| error["name"].as_str().unwrap().into())
+        .collect();
+    let written = if has_errors { file.text_column("MODEL_ERRORS", "NAME").unwrap() } else { Vec::new() };
+    assert!(written.len() == errors.len() && written.iter().all(|name| !name.contains('?')), "{written:?}");
+    let columns = ["VALUE", "SIGMA", "TOLERANCE", "SIGNIFICANCE"].map(|column| match errors.is_empty() {
+        true => Vec::new(),
+        false => file.f64_column("MODEL_ERRORS", column).unwrap(),
+    });
     let [coefficients_nm, sigma_nm] = numbers;
     lines(
         names.iter().zip(coefficients_nm.into_iter().zip(sigma_nm)),
         statuses.into_iter().zip(chi2).zip(rejected).map(|((status, chi2), rejected)| (status, chi2, rejected)),
+        errors.iter().enumerate().map(|(row, name)| (name, columns.each_ref().map(|column| column[row]))),
         &warnings,
         (json["policy"].as_str().unwrap(), json["device"].as_str().unwrap()),
     )
