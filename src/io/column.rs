@@ -76,5 +76,7 @@ pub(super) fn ascii(text: &str) -> String {
         b'\t' => ' ',
         _ => '?',
     };
+    // No quotation mark that would end a text within a text, such as a value of a scene.
+    let text = text.replace(['\u{201c}', '\u{201d}', '\u{2033}'], "`");
     characters::ascii(text.as_bytes()).0.into_iter().map(plain).collect()
 }
