@@ -1,7 +1,8 @@
 //! `cophase check`: scene and images before an estimate is believed.
 
+use super::one_channel::of_one_channel;
 use cophase::Result;
-use cophase::pipeline::{Check, Finding, Images, Poke, check};
+use cophase::pipeline::{Check, Finding, Poke, check};
 use cophase::scene::{Scene, Setting};
 use cophase_view::files::{self, Settings};
 use cophase_view::interrupt::Interrupt;
@@ -100,8 +101,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
     let scene = arguments.scene()?;
-    let images = Images::only(Images::read(&arguments.images, arguments.mask.as_deref())?)?;
-    let before = arguments.before.as_ref().map(|path| Images::only(Images::read(path, None)?)).transpose()?;
+    let images = of_one_channel(&arguments.images, arguments.mask.as_deref())?;
+    let before = arguments.before.as_ref().map(|path| of_one_channel(path, None)).transpose()?;
     let poke_nm = arguments.poke_nm.unwrap_or_default();
     let poke = match (&arguments.segment, arguments.actuator) {
         (Some(label), _) => Some(Poke::of_segment(&scene, label, poke_nm)?),

@@ -15,6 +15,7 @@ mod merge;
 mod moves;
 mod numbering;
 mod observe;
+mod one_channel;
 mod picture;
 mod plan;
 mod reduce;

@@ -48,6 +48,15 @@ fn one_file_and_a_file_for_each_channel_give_one_answer() {
 }
 
 #[test]
+fn a_file_of_several_channels_is_named_where_one_is_taken() {
+    let desk = desk();
+    let facts = ["pair.fits", "2 channels", "FILE[HDU]"];
+    desk.refuses(&["check", "pair.fits", "--scene", "keck-artificial"], &facts);
+    let channels = ["--channel", "plus=pair.fits", "--channel", "minus=pair.fits"];
+    desk.refuses(&[&["estimate", "--scene", "scene.toml", "-o", "e.fits"][..], &channels].concat(), &facts);
+}
+
+#[test]
 fn the_picture_shows_the_image_of_each_channel() {
     let desk = desk();
     desk.succeeds(&["estimate", "pair.fits", "-o", "est.fits", "--plot", "est.svg"]);

@@ -47,8 +47,8 @@ pub struct Arguments {
     /// m)
     #[arg(long, value_name = "WHICH", default_value = "paper", value_parser = segments)]
     segments: Segments,
-    /// Row of beyond, pyramid or hard-cases to make, by name, or of pulls, channels or groups, by a
-    /// part of its name; may be given more than once [default: all]
+    /// Row of beyond, pyramid or hard-cases to make, by name, or by a part of its name of any other
+    /// target that has rows; may be given more than once [default: all]
     #[arg(long, value_name = "NAME")]
     row: Vec<String>,
     /// Folder of measured NCPA maps (NCPA*.fits, nm, over the pupil's grid): one more row of beyond

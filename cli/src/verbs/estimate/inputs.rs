@@ -1,6 +1,7 @@
 //! What an estimate reads: images of one file or of several, slopes, the scene.
 
 use super::arguments::{Arguments, GAIN};
+use crate::verbs::one_channel::of_one_channel;
 use cophase::pipeline::{Images, Trust};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
@@ -30,7 +31,7 @@ impl Arguments {
             match name {
                 None => channels.extend(Images::read(file, self.mask.as_deref())?),
                 Some(name) => {
-                    let images = Images::only(Images::read(file, self.mask.as_deref())?)?;
+                    let images = of_one_channel(file, self.mask.as_deref())?;
                     channels.push(Images { channel: Some(name.into()), ..images });
                 }
             }
