@@ -62,11 +62,11 @@ for k = 1:numel(e.model_errors)
 end
 w = e.without_staircases;
 if ~isempty(w)
-    printf('without phasing %s %s\n', num2hex(w.phasing_rms_nm), num2hex(w.phasing_sigma_nm));
-    printf('without ncpa %s %s\n', num2hex(w.ncpa_rms_nm), num2hex(w.ncpa_sigma_nm));
-    printf('without wavefront %s %s\n', num2hex(w.wavefront_rms_nm), num2hex(w.wavefront_sigma_nm));
+    printf('without phasing %s %s\n', num2hex(w.info.phasing_rms_nm), num2hex(w.info.phasing_sigma_nm));
+    printf('without ncpa %s %s\n', num2hex(w.info.ncpa_rms_nm), num2hex(w.info.ncpa_sigma_nm));
+    printf('without wavefront %s %s\n', num2hex(w.info.wavefront_rms_nm), num2hex(w.info.wavefront_sigma_nm));
     at = @(map) num2hex(map(floor(rows(map) / 2) + 1, floor(columns(map) / 4) + 1));
-    printf('without %s %s %s %s\n', at(w.phasing_nm), at(w.ncpa_nm), at(w.phasing_sigma_map_nm), at(w.ncpa_sigma_map_nm));
+    printf('without %s %s %s %s\n', at(w.phasing_nm), at(w.ncpa_nm), at(w.phasing_sigma_nm), at(w.ncpa_sigma_nm));
 end
 cellfun(@(sentence) printf('warning %s\n', sentence), e.warnings);
 printf('policy %s\ndevice %s\n', e.policy, e.device);

@@ -38,8 +38,8 @@ def main(scene, frames, count, rows, cols, *others):
     without = estimate.without_staircases
     if without:
         for part in ("phasing", "ncpa", "wavefront"):
-            print("without", part, *(bits(getattr(without, f"{part}_{what}_nm")) for what in ("rms", "sigma")))
-        maps = (without.phasing_nm, without.ncpa_nm, without.phasing_sigma_map_nm, without.ncpa_sigma_map_nm)
+            print("without", part, *(bits(getattr(without.info, f"{part}_{what}_nm")) for what in ("rms", "sigma")))
+        maps = (without.phasing_nm, without.ncpa_nm, without.phasing_sigma_nm, without.ncpa_sigma_nm)
         print("without", *(bits(one[one.shape[0] // 2, one.shape[1] // 4]) for one in maps))
     for sentence in estimate.warnings:
         print("warning", sentence)

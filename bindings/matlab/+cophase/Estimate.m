@@ -61,8 +61,8 @@ classdef Estimate < cophase.Handle
         model_errors          % errors of the optics and the camera that the error bars hold, a struct array: name, value, sigma,
                               % tolerance (sigma before the images), significance (value by the images alone over its error bar)
         without_staircases    % without focus and astigmatisms of the whole pupil, where a tolerance alone divides them between segments
-                              % and NCPA: a struct of the maps phasing_nm, ncpa_nm, phasing_sigma_map_nm, ncpa_sigma_map_nm and of RMS and
-                              % error bar phasing_rms_nm, phasing_sigma_nm, ncpa_..., wavefront_...; else []
+                              % and NCPA: a struct of the maps phasing_nm, ncpa_nm, phasing_sigma_nm, ncpa_sigma_nm and of the struct info
+                              % with their RMS and expected errors, as in info of the estimate; else []
     end
 
     methods
@@ -115,9 +115,9 @@ classdef Estimate < cophase.Handle
                 figures_nm = self.array('FIGURES_WITHOUT_STAIRCASES_NM', 6);
                 self.without_staircases = struct( ...
                     'phasing_nm', maps_nm(:, :, 1), 'ncpa_nm', maps_nm(:, :, 2), ...
-                    'phasing_sigma_map_nm', maps_nm(:, :, 3), 'ncpa_sigma_map_nm', maps_nm(:, :, 4), ...
-                    'phasing_rms_nm', figures_nm(1), 'phasing_sigma_nm', figures_nm(2), 'ncpa_rms_nm', figures_nm(3), ...
-                    'ncpa_sigma_nm', figures_nm(4), 'wavefront_rms_nm', figures_nm(5), 'wavefront_sigma_nm', figures_nm(6));
+                    'phasing_sigma_nm', maps_nm(:, :, 3), 'ncpa_sigma_nm', maps_nm(:, :, 4), ...
+                    'info', struct('phasing_rms_nm', figures_nm(1), 'phasing_sigma_nm', figures_nm(2), 'ncpa_rms_nm', figures_nm(3), ...
+                    'ncpa_sigma_nm', figures_nm(4), 'wavefront_rms_nm', figures_nm(5), 'wavefront_sigma_nm', figures_nm(6)));
             end
         end
 

@@ -102,24 +102,18 @@ class WithoutStaircases:
     ----------
     phasing_nm, ncpa_nm : (samples, samples) array
         Maps ``[y, x]``, nm; NaN outside the pupil.
-    phasing_sigma_map_nm, ncpa_sigma_map_nm : (samples, samples) array
+    phasing_sigma_nm, ncpa_sigma_nm : (samples, samples) array
         Standard deviation of each sample of these maps, nm.
-    phasing_rms_nm, ncpa_rms_nm, wavefront_rms_nm : float
-        RMS of the maps and of their sum over the pupil, nm.
-    phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm : float
-        Their expected errors, nm RMS.
+    info : namespace
+        ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm`` and their expected errors ``phasing_sigma_nm``,
+        ``ncpa_sigma_nm``, ``wavefront_sigma_nm``, as in :attr:`Estimate.info`.
     """
 
     phasing_nm: NDArray[np.float64]
     ncpa_nm: NDArray[np.float64]
-    phasing_sigma_map_nm: NDArray[np.float64]
-    ncpa_sigma_map_nm: NDArray[np.float64]
-    phasing_rms_nm: float
-    phasing_sigma_nm: float
-    ncpa_rms_nm: float
-    ncpa_sigma_nm: float
-    wavefront_rms_nm: float
-    wavefront_sigma_nm: float
+    phasing_sigma_nm: NDArray[np.float64]
+    ncpa_sigma_nm: NDArray[np.float64]
+    info: SimpleNamespace
 
 
 class Estimate(Handle):
@@ -214,7 +208,9 @@ class Estimate(Handle):
     def _without_staircases(self) -> WithoutStaircases:
         samples = self.info.samples
         maps_nm = self._array("MAPS_WITHOUT_STAIRCASES_NM", 4, samples, samples)
-        return WithoutStaircases(*maps_nm, *self._array("FIGURES_WITHOUT_STAIRCASES_NM", 3, 2).ravel().tolist())
+        names = [f"{part}_{what}_nm" for part in ("phasing", "ncpa", "wavefront") for what in ("rms", "sigma")]
+        figures_nm = self._array("FIGURES_WITHOUT_STAIRCASES_NM", 3, 2).ravel().tolist()
+        return WithoutStaircases(*maps_nm, SimpleNamespace(**dict(zip(names, figures_nm))))
 
     def _text(self, what: str, index: int = 0) -> str:
         return library_text(lib.cophase_estimate_text, self._handle, getattr(lib, f"COPHASE_TEXT_{what}"), index)
