@@ -44,11 +44,6 @@ pub struct Frame<'a> {
 /// electrons.
 const MIN_VARIANCE_E2: f64 = 1.0 / 12.0;
 
-/// Noises by which the brightest pixel exceeds the border's level where there is a star whose light
-/// may be lost in the noise of all pixels, as in one of five frames of 96 × 96 with a star in focus
-/// of 20 noises. Of 100 million pixels of noise none is beyond.
-const STAR: f64 = 6.0;
-
 /// Preparation of frames for one model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Preparation {
@@ -310,7 +305,7 @@ impl Preparer {
             }
         }
         prepared.taken_out = RejectedPixels { high: self.spikes.found().len(), ..RejectedPixels::default() };
-        refuse_unusable(&self.extents[..self.plan.frame[1]], level, (variance_e2 + level.max(0.0)).sqrt())?;
+        refusal::refuse_unusable(&self.extents[..self.plan.frame[1]], level, (variance_e2 + level.max(0.0)).sqrt())?;
         let (data, bad) = if is_clean { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
         let sampled = match &mut self.reduction {
             Some(reduction) => {
@@ -392,24 +387,6 @@ impl Preparer {
             lost += values.iter().zip(marks).filter(|(value, marked)| **marked || !value.is_finite()).count();
         }
         lost
-    }
-}
-
-/// Refuses frames without a star in them. `level` is the border's, `noise_e` that of a pixel
-/// without light.
-fn refuse_unusable(rows: &[Extent], level: f64, noise_e: f64) -> std::result::Result<(), Refusal> {
-    let Extent { good, least, most, sum } = rows.iter().fold(Extent::EMPTY, |all, row| all.and(row));
-    let flux_e = sum - level * good as f64;
-    // Noise, with the error that it makes of the level, takes less than one noise a pixel.
-    let is_seen = most - level > STAR * noise_e && flux_e > -noise_e * good as f64;
-    match good {
-        0 => Err(Refusal::NoGoodPixel),
-        // Fewer pixels than this cannot fix even a handful of modes.
-        1..64 => Err(Refusal::FewGoodPixels { good }),
-        _ if least == most => Err(Refusal::Constant { value: least }),
-        _ if most <= 0.0 => Err(Refusal::NoPositivePixel { largest: most }),
-        _ if flux_e <= 0.0 && !is_seen => Err(Refusal::NoStar { flux_e }),
-        _ => Ok(()),
     }
 }
 

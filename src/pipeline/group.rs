@@ -195,11 +195,9 @@ pub(super) fn estimate(
     }
 }
 
-/// Number of images that are tried as the one of another wavefront: the most different of a group
-/// is not always it.
-const TRIED: usize = 3;
 /// How much larger than the median the difference of an image of another wavefront is. An error of
-/// the model makes all images differ alike: those of a bench by 0.5 to 2 times their median.
+/// the model makes all images differ alike, five real ones of a bench by up to 2.6 times their
+/// median; one planted among four or five is 4.5 to 16 times beyond it.
 const FOREIGN: f64 = 3.0;
 
 /// An estimate of images that are fitted together.
@@ -276,30 +274,20 @@ impl<'a> GroupTask<'a> {
             return Ok(None);
         }
         let most = found.group.differences.len().saturating_sub(1) / 3;
-        let (mut which, mut foreign, mut differences) =
-            (found.which.clone(), Vec::new(), found.group.differences.clone());
-        while foreign.len() < most {
-            let chi2: Vec<f64> = differences.iter().map(|(_, chi2)| *chi2).collect();
-            let limit = FOREIGN * median(&chi2);
-            let mut tried = Vec::new();
-            for (place, _) in differences.iter().take(TRIED).filter(|(_, chi2)| *chi2 > limit) {
-                let mut others = which.clone();
-                others[place[0]][place[1]] = false;
-                let fit = self.fit(&others, Some(&found.group.joint), Search::IfNeeded)?;
-                let is_one = !fit.group.joint.is_contradictory();
-                tried.push((*place, fit));
-                if is_one {
-                    break;
-                }
-            }
-            let order =
-                |a: &GroupFit, b: &GroupFit| a.group.joint.disagreement.0.total_cmp(&b.group.joint.disagreement.0);
-            let Some((place, fit)) = tried.into_iter().min_by(|(_, a), (_, b)| order(a, b)) else { break };
-            foreign.push(place);
+        let (mut left, mut foreign) = (None::<GroupFit>, Vec::new());
+        for _ in 0..most {
+            let last = left.as_ref().unwrap_or(found);
+            let differences = &last.group.differences;
+            let usual = median(&differences.iter().map(|(_, chi2)| *chi2).collect::<Vec<_>>());
+            let Some((place, _)) = differences.first().filter(|(_, chi2)| *chi2 > FOREIGN * usual) else { break };
+            let mut which = last.which.clone();
+            which[place[0]][place[1]] = false;
+            foreign.push(*place);
+            let fit = self.fit(&which, Some(&last.group.joint), Search::IfNeeded)?;
             if !fit.group.joint.is_contradictory() {
                 return Ok(Some(GroupFit { foreign, ..fit }));
             }
-            (which, differences) = (fit.which, fit.group.differences);
+            left = Some(fit);
         }
         Ok(None)
     }

@@ -29,7 +29,7 @@ const SHOWN: f64 = 2.0;
 /// estimate of 1,000.
 const DOUBTFUL: f64 = 16.27;
 /// Surface of the whole mirror, nm RMS, from which it matters what the figure is. The samples of a
-/// model show as a figure of 0.02 nm, or a surface of 0.3, in 20 images at a peak S/N of 500.
+/// model show as a figure of 0.02 nm, or a surface below 0.5, in 20 images at a peak S/N of 500.
 const LEAST_SURFACE_NM: f64 = 1.0;
 
 /// Modes with the errors of what was left out.

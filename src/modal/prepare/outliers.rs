@@ -25,7 +25,7 @@ const LIMITS: [f64; 2] = [4.0, 3.0];
 /// for the most standard deviations (hot ones in bright light), and a pixel of three is bad rather
 /// than noise: the limit is the one beyond which noise is this share of what was found (the false
 /// discovery rate: Benjamini & Hochberg 1995, J. R. Stat. Soc. B 57, 289). With 2 % of bad pixels
-/// at a peak S/N of 500 the residual is 1.11 / 1.13 of its bound where four leave 1.14 / 1.15.
+/// at a peak S/N of 500 the residual is 1.12 / 1.14 of its bound where four leave 1.14 / 1.15.
 const FALSE_SHARE: f64 = 0.05;
 /// Largest share of outliers. Beyond, none is rejected: the frame or its noise is not what the
 /// scene says, and χ² shows it.
