@@ -197,16 +197,12 @@ impl Base {
         if channels.len() == 1 {
             return Ok(first);
         }
-        let mut text = first.text().trim_end().to_owned();
-        for (number, &(nm, waves)) in channels.iter().enumerate() {
-            let sampling = sampling(nm);
-            text += &format!(
-                "\n\n[[image.channel]]\nname = \"{}\"\nwavelength_nm = {nm}\nsamples_per_lambda_over_d = {sampling}\n\
-                 diversity_focus_waves_rms = {waves}\n",
-                number + 1
-            );
-        }
-        Scene::from_text(&text, first.directory())
+        let each = channels.iter().enumerate().map(|(number, &(nm, waves))| {
+            let values = [(Optic::PLATE_SCALE, sampling(nm)), (Optic::DEFOCUS, waves)];
+            let of_optics = values.into_iter().filter_map(|(optic, value)| Some((optic.key()?, value)));
+            ((number + 1).to_string(), [("image.wavelength_nm", nm)].into_iter().chain(of_optics).collect())
+        });
+        first.with_channels(&each.collect::<Vec<_>>())
     }
 
     fn observation(&self, channels: &[(f64, f64)], budget_nm: f64, control: &Control) -> Result<Observation> {

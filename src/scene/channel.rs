@@ -219,6 +219,21 @@ pub(super) fn divide(document: &mut DocumentMut, list_of: ImageList, parts: &[Ve
     Ok(())
 }
 
+/// Gives a scene without channels a list of them: names, each with its values of keys `image.KEY`.
+///
+/// # Errors
+/// [`Error::Internal`] for a scene that has no `[image]`.
+pub(super) fn set_list(document: &mut DocumentMut, channels: &[(String, Vec<(&str, f64)>)]) -> Result<()> {
+    let image = document.get_mut("image").and_then(Item::as_table_like_mut);
+    let image = image.ok_or_else(|| Error::Internal("a list of channels: no [image]".into()))?;
+    let each = channels.iter().map(|(name, values)| {
+        let values = values.iter().map(|(key, value)| (key.trim_start_matches("image."), Value::from(*value)));
+        [(NAME, Value::from(name))].into_iter().chain(values).collect::<Table>()
+    });
+    image.insert(LIST, Item::ArrayOfTables(each.collect()));
+    Ok(())
+}
+
 const SAMPLING: &str = forms::SAMPLING[0];
 /// Keys of which a scene may name one: a channel that names one of them replaces all.
 const ALTERNATIVES: [&[&str]; 5] = [

@@ -36,6 +36,17 @@ impl Scene {
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), &[])
     }
 
+    /// This scene, which has one way of imaging, with channels of these names, each with its values
+    /// of keys `image.KEY`.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for keys and values that channels cannot have.
+    pub(crate) fn with_channels(&self, channels: &[(String, Vec<(&str, f64)>)]) -> Result<Self> {
+        let mut document = self.document()?;
+        channel::set_list(&mut document, channels)?;
+        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), &[])
+    }
+
     /// The scenes of the channels in the text of a scene; none where it lists no channels.
     pub(super) fn parse_channels(source: Source, document: &Document<&str>, directory: &Path) -> Result<Vec<Channel>> {
         let parsed = channel::texts(source, document)?.into_iter().map(|ChannelText { name, text, settings }| {
