@@ -15,7 +15,6 @@
 //! identifiable the parameters are: where it is nearly 0 the modes reproduce their effect, and the
 //! scene's value stays.
 
-pub(in crate::modal) mod fitted_optic;
 mod normal;
 mod parameter;
 mod search;

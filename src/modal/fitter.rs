@@ -8,14 +8,13 @@ use crate::modal::assess::fisher;
 use crate::modal::assess::tilts::Tilts;
 use crate::modal::combine::diversity_error::{self, DiversityProjection, SharedError};
 use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::left_out::{LeftOut, last_zernike};
 use crate::modal::model::mode_set::SceneBasis;
 use crate::modal::model::recipe::Recipe;
 use crate::modal::solve::engine::FitTask;
 use crate::modal::solve::metrics::Metrics;
 use crate::modes::Direction;
-use crate::scene::{Grouping, Method, PupilScene, System};
+use crate::scene::{Grouping, Method, OpticalParameter, PupilScene, System};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
@@ -37,7 +36,7 @@ pub struct ModalFitter {
     /// Errors that all images share.
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
-    pub(super) fitted_optics: Vec<FittedOptic>,
+    pub(super) fitted_optics: Vec<OpticalParameter>,
     /// What the modes leave out, once an estimate has marginalised it: sessions and the search of
     /// the optics do without.
     pub(super) left_out: Arc<OnceLock<LeftOut>>,
@@ -216,7 +215,7 @@ impl ModalFitter {
 
     /// Optical parameters that were fitted, in the order of `estimate.fit_optics`;
     /// [`ModalFitter::scene`] has their values.
-    pub fn fitted_optics(&self) -> &[FittedOptic] {
+    pub fn fitted_optics(&self) -> &[OpticalParameter] {
         &self.fitted_optics
     }
 

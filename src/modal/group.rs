@@ -39,7 +39,6 @@ use crate::modal::combine::joint::{JointEstimate, LEAST_SHARE, amplitude_of, che
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::combine::{ModalEstimate, combine};
 use crate::modal::estimate::image_fits::FittedCube;
-use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Freedom, Group, Trial};
@@ -47,7 +46,7 @@ use crate::modal::group::posterior::GroupPosterior;
 use crate::modal::group::starts::{fit_from_all, is_right};
 use crate::modal::prepare::cube::Cube;
 use crate::modal::solve::engine::{FitState, ImageFit, prepare_frames, reason_of_none};
-use crate::scene::{Optic, System};
+use crate::scene::{Optic, OpticalParameter, System};
 use ndarray::{Array2, Axis, s};
 use std::time::Instant;
 
@@ -250,8 +249,7 @@ impl<'a> Solution<'a> {
             let scene = value / self.factor();
             let relative = self.normal.sigma_of_amplitude().map(|nm| nm / self.group.amplitude_unit_nm());
             let sigma = relative.map_or(f64::INFINITY, |sigma| scene.abs() * sigma);
-            let identifiable_share = self.share;
-            Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share })
+            Some(OpticalParameter::of_key(optic, optic.key()?, [scene, value]).with_error(sigma, self.share))
         });
         Ok(joint)
     }

@@ -57,7 +57,6 @@ pub(crate) use estimate::ModalFit;
 pub use estimate::image_fits::ImageFits;
 pub(crate) use estimate::scene_fitter::fitter_for;
 pub use estimate::scene_fitter::fitter_of;
-pub use fit_optics::fitted_optic::FittedOptic;
 pub(crate) use fit_optics::{OpticsMinimum, OpticsStart, explaining_fit, fit_together};
 pub use fitter::ModalFitter;
 pub(crate) use group::{GroupChannel, GroupEstimate, Minima, Search, estimate_group};

@@ -2,7 +2,7 @@
 //! combined.
 
 use super::consistency::Electrons;
-use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run, WithoutStaircases};
+use super::estimate::{Estimate, Figures, MethodResult, ModalSummary, Run, WithoutStaircases};
 use super::explain::explain;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
@@ -12,7 +12,7 @@ use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning, left_out_warnings};
 use crate::control::{Control, Stage};
 use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, WithLeftOut, joint};
-use crate::scene::{Grouping, Optic, Scene, Sections};
+use crate::scene::{Grouping, Optic, OpticalParameter, Scene, Sections};
 use crate::statics::ErrorTerm;
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -303,7 +303,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
         let about = names.get(number).map(|name| format!("channel {name}: ")).unwrap_or_default();
         sentences.extend(one.warnings.iter().map(|sentence| format!("{about}{sentence}")));
     }
-    if let Some(defocus) = found.defocus.filter(|defocus| !defocus.is_identifiable()) {
+    if let Some(defocus) = found.defocus.as_ref().filter(|defocus| !defocus.is_identifiable()) {
         sentences.push(format!(
             "estimate.fit_optics names \"{}\", and these channels do not determine the amplitude of the diversities: it stays as the \
              scene says, and the error bars do not include its error; two channels with different diversities determine it",
@@ -346,5 +346,5 @@ fn optics(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<Opt
         };
         one.optics.iter().map(named)
     });
-    of_channels.chain(found.defocus.as_ref().map(OpticalParameter::from)).collect()
+    of_channels.chain(found.defocus.clone()).collect()
 }

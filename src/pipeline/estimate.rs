@@ -9,7 +9,7 @@ use crate::loop_response::{Corrections, SegmentLimits};
 use crate::modal::{CombinedModes, FittedImage, ModalFitter, ModelError, PistonInteger, StaticMaps, Status};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
-use crate::scene::{AoKnowledge, Combine, Method, Scene};
+use crate::scene::{AoKnowledge, Combine, Method, OpticalParameter, Scene};
 use crate::statics::{ErrorTerm, Iteration};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -160,24 +160,6 @@ pub struct Run {
     pub model_seconds: f64,
 }
 
-/// An optical parameter that was fitted together with the modes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct OpticalParameter {
-    /// Key of the scene, or `reflectivity N` of segment N.
-    pub key: String,
-    /// The segment whose reflectivity it is, from 0; `None` for a number of the scene.
-    pub segment: Option<usize>,
-    /// Value in the scene, in the unit of the key.
-    pub scene: f64,
-    /// Fitted value.
-    pub value: f64,
-    /// Error bar, 1σ: infinite where the modes reproduce its effect, NaN where it is not known.
-    pub sigma: f64,
-    /// Share of the parameter's effect on the image that neither the modes nor other parameters
-    /// reproduce; NaN where it is not known.
-    pub identifiable: f64,
-}
-
 /// Estimate minus truth, piston, tip and tilt removed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
@@ -284,24 +266,6 @@ impl FullPhaseSummary {
     }
 }
 
-impl OpticalParameter {
-    /// Whether the images distinguish it from the modes.
-    pub fn is_identifiable(&self) -> bool {
-        !self.sigma.is_infinite()
-    }
-
-    /// Takes the key and the unit by which `scene` names the quantity.
-    pub(super) fn take_form_of(&mut self, scene: &Scene) {
-        let own = |value: f64| scene.own_form(&self.key, value);
-        let (key, value) = own(self.value);
-        if key != self.key {
-            let [of_scene, beyond] = [self.scene, self.value + self.sigma].map(|value| own(value).1);
-            let sigma = if self.sigma.is_finite() { (beyond - value).abs() } else { self.sigma };
-            (self.key, self.value, self.scene, self.sigma) = (key, value, of_scene, sigma);
-        }
-    }
-}
-
 impl Estimate {
     /// The fits of a modal estimate; `None` for a MAP estimate.
     pub fn modal(&self) -> Option<&ModalSummary> {
@@ -387,34 +351,5 @@ impl Estimate {
             corrections.slopes_mas.iter_mut().for_each(|mas| *mas *= check.divided_by);
         }
         Ok(corrections)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fitted_defocus_has_the_unit_of_the_scene() {
-        let scene = Scene::preset("keck-artificial").unwrap();
-        let waves = || OpticalParameter {
-            key: "image.diversity_focus_waves_rms".into(),
-            segment: None,
-            scene: 1.5,
-            value: 1.47,
-            sigma: 0.001,
-            identifiable: 0.1,
-        };
-        let mut same = waves();
-        same.take_form_of(&scene);
-        assert_eq!(same, waves());
-        let mut converted = waves();
-        // 1.5 waves of 2168.6 nm.
-        converted.take_form_of(&scene.with(&[("image.diversity_focus_nm_rms", "3252.9")]).unwrap());
-        let OpticalParameter { key, scene, value, sigma, .. } = &converted;
-        assert_eq!(key, "image.diversity_focus_nm_rms");
-        for (found, expected) in [(scene, 1.5), (value, 1.47), (sigma, 0.001)] {
-            assert!((found / 2168.6 - expected).abs() < 1e-9 * expected, "{converted:?}");
-        }
     }
 }

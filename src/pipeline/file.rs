@@ -1,10 +1,11 @@
 //! Estimate file: FITS, in the layout of the conventions.
 
-use super::estimate::{Estimate, FullPhaseSummary, OpticalParameter};
+use super::estimate::{Estimate, FullPhaseSummary};
 use super::{ErrorTerm, ImageOutcome, ModelError};
 use crate::Result;
 use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
 use crate::modes::SegmentModes;
+use crate::scene::OpticalParameter;
 use crate::statics::Iteration;
 use crate::telescope::SegmentPlace;
 use std::path::Path;

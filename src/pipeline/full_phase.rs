@@ -2,7 +2,7 @@
 //! static errors that all share.
 
 use super::channels::{ChannelImages, names};
-use super::estimate::{Basis, Estimate, Figures, FullPhaseSummary, MethodResult, OpticalParameter, Run};
+use super::estimate::{Basis, Estimate, Figures, FullPhaseSummary, MethodResult, Run};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::sequence::{self, SequenceResult};
@@ -13,7 +13,7 @@ use crate::control::{Control, Stage};
 use crate::modal::has_diversity;
 use crate::modal::{ImageReport, Status};
 use crate::modes::Group;
-use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange, RetrievalReport};
+use crate::retrieval::{OPTICS_SEARCH_CHI2, RetrievalReport};
 use crate::scene::{AoKnowledge, Scene, SensorScene, Telemetry};
 use crate::statics::{ErrorTerm, Iteration, NcpaFamily, StaticsSettings};
 use crate::statistics::upper_median;
@@ -181,7 +181,7 @@ pub(super) fn estimate(
         is_sequence: true,
         status: if is_misfit { Status::Misfit } else { Status::Ok },
         model: selected(last),
-        optics: optics(&found),
+        optics: found.optics.changes.clone(),
         warnings: sentences,
         remarks,
         pupil,
@@ -284,16 +284,4 @@ fn basis(last: &Iteration) -> Basis {
     let (segments, ncpa) = (last.errors.segment_modes(), last.ncpa_names.len());
     let groups = [vec![Group::Segment; segments], vec![Group::Ncpa; ncpa]].concat();
     Basis { names: last.mode_names(), groups }
-}
-
-fn optics(found: &SequenceResult) -> Vec<OpticalParameter> {
-    let parameter = |change: &OpticsChange| OpticalParameter {
-        key: change.key.into(),
-        segment: None,
-        scene: change.given,
-        value: change.found,
-        sigma: f64::NAN,
-        identifiable: f64::NAN,
-    };
-    found.optics.changes.iter().map(parameter).collect()
 }

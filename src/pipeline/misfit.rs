@@ -149,7 +149,7 @@ impl Case<'_> {
         Ok(explains.then(|| OtherOptic {
             optic,
             same_effect,
-            key: one.key(),
+            key: one.key.clone(),
             fitted: one.value,
             of_scene: one.scene,
             reduced_chi2: [own_chi2, fitted_chi2],

@@ -55,12 +55,10 @@ mod warnings;
 pub use crate::control::{Control, Progress, Stage};
 pub use crate::loop_response::{Command, Commands, Corrections, ModeCorrection, SentCorrections};
 pub use crate::modal::{CombinedModes, ModelError, PistonInteger, StaticMaps};
-pub use crate::scene::{Optic, Setting};
+pub use crate::scene::{Optic, OpticalParameter, Setting};
 pub use crate::statics::{ErrorBudget, ErrorTerm, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
-pub use estimate::{
-    Basis, Comparison, Estimate, Figure, Figures, FullPhaseSummary, MethodResult, ModalSummary, OpticalParameter, Run,
-};
+pub use estimate::{Basis, Comparison, Estimate, Figure, Figures, FullPhaseSummary, MethodResult, ModalSummary, Run};
 pub use estimator::Estimator;
 pub use foreign_truth::{ForeignComparison, ForeignTruth};
 pub use frame_estimator::{FrameEstimate, FrameEstimator};

@@ -1,13 +1,13 @@
 //! Modal estimate of one channel: from the fit of its images, with maps, error bars, warnings and
 //! remarks.
 
-use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, OpticalParameter, Run, WithoutStaircases};
+use super::estimate::{Basis, Estimate, Figures, MethodResult, ModalSummary, Run, WithoutStaircases};
 use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::{remarks, warnings};
 use crate::metrics::MapGram;
-use crate::modal::{self, Combination, FittedOptic, Model, WithLeftOut};
+use crate::modal::{self, Combination, Model, WithLeftOut};
 use crate::scene::NollRange;
 use crate::statics::ErrorTerm;
 use crate::telescope::unit_remark;
@@ -62,7 +62,7 @@ impl Fitted {
             reduced_chi2: found.reduced_chi2(),
             is_sequence: found.is_sequence(),
             model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),
-            optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
+            optics: fitter.fitted_optics().to_vec(),
             integers: Vec::new(),
             warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
             remarks: extended.into_iter().chain(open).chain(left_out).chain(of_scene.into_iter().flatten()).collect(),
@@ -81,13 +81,6 @@ impl Fitted {
                 fitter: Arc::new(fitter),
             }),
         })
-    }
-}
-
-impl From<&FittedOptic> for OpticalParameter {
-    fn from(optic: &FittedOptic) -> Self {
-        let FittedOptic { segment, scene, value, sigma, identifiable_share, .. } = *optic;
-        Self { key: optic.key(), segment, scene, value, sigma, identifiable: identifiable_share }
     }
 }
 

@@ -1,10 +1,10 @@
 //! Report: an estimate as text.
 
-use super::estimate::{Estimate, Figure, Figures, FullPhaseSummary, OpticalParameter, Run};
+use super::estimate::{Estimate, Figure, Figures, FullPhaseSummary, Run};
 use super::images::counted;
 use super::telemetry::TelemetryCheck;
 use crate::modal::{RejectedPixels, Status};
-use crate::scene::Combine;
+use crate::scene::{Combine, OpticalParameter};
 use std::fmt::Write;
 
 impl Estimate {

@@ -89,7 +89,7 @@ pub(super) fn modal_warnings(
             "estimate.fit_optics names \"{}\", which these images do not distinguish from the modes: {} stays {}, and the \
              error bars do not include its error",
             optic.optic.word(),
-            optic.key(),
+            optic.key,
             optic.value
         ));
     }

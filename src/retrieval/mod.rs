@@ -31,7 +31,6 @@ mod task;
 mod workspace;
 
 pub use illuminated_samples::IlluminatedSamples;
-pub(crate) use optics_estimate::OpticsChange;
 pub use optics_estimate::RetrievedOptics;
 pub(crate) use optics_search::{OPTICS_SEARCH_CHI2, estimate_optics};
 pub use prior::{RadialPsd, StaticAberrationRms};

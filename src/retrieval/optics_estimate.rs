@@ -2,7 +2,7 @@
 
 use super::optics_parameter::SearchedParameter;
 use crate::Result;
-use crate::scene::System;
+use crate::scene::{OpticalParameter, System};
 use crate::telescope::Telescope;
 
 /// Optics estimated from images, and the scene with them.
@@ -11,35 +11,24 @@ pub struct RetrievedOptics {
     /// The scene, with the estimates in place of its own values.
     pub(crate) scene: System,
     /// Numbers of the scene that differ.
-    pub(crate) changes: Vec<OpticsChange>,
+    pub(crate) changes: Vec<OpticalParameter>,
     /// Reflectivity of each segment over the pupil's mean; empty where they were not estimated.
     pub segment_reflectivities: Vec<f64>,
     telescope: Telescope,
 }
 
-/// A number of the scene that differs in the images.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct OpticsChange {
-    pub(crate) key: &'static str,
-    /// Value in the scene that was given.
-    pub(crate) given: f64,
-    /// Estimated value.
-    pub(crate) found: f64,
-}
-
-impl OpticsChange {
-    fn sentence(&self) -> String {
-        let Self { key, given, found } = self;
-        let what = match *key {
-            "image.samples_per_lambda_over_d" => {
-                format!("pixels {:+.2} % finer than {key}", 100.0 * (found / given - 1.0))
-            }
-            "image.bandwidth_fraction" => format!("a filter of {:.1} %, where {key} is {given}", 100.0 * found),
-            "image.pixel_fill" => format!("pixels whose side is {found:.2} of their pitch, where {key} is {given}"),
-            _ => format!("{key} = {found:.4}, which the scene gives as {given}"),
-        };
-        format!("the images show {what}: the estimate uses that of the images")
-    }
+/// The sentence for users on a `change` of the optics.
+fn sentence(change: &OpticalParameter) -> String {
+    let OpticalParameter { key, scene, value, .. } = change;
+    let what = match key.as_str() {
+        "image.samples_per_lambda_over_d" => {
+            format!("pixels {:+.2} % finer than {key}", 100.0 * (value / scene - 1.0))
+        }
+        "image.bandwidth_fraction" => format!("a filter of {:.1} %, where {key} is {scene}", 100.0 * value),
+        "image.pixel_fill" => format!("pixels whose side is {value:.2} of their pitch, where {key} is {scene}"),
+        _ => format!("{key} = {value:.4}, which the scene gives as {scene}"),
+    };
+    format!("the images show {what}: the estimate uses that of the images")
 }
 
 impl RetrievedOptics {
@@ -56,8 +45,8 @@ impl RetrievedOptics {
         let [given, found] = [given, &scene].map(SearchedParameter::all);
         let change = given.iter().filter_map(|given| {
             let found = found.iter().find(|found| found.parameter == given.parameter)?;
-            let key = given.parameter.key;
-            (found.own != given.own).then_some(OpticsChange { key, given: given.own, found: found.own })
+            let values = [given.own, found.own];
+            (found.own != given.own).then(|| OpticalParameter::of_key(given.optic, given.parameter.key, values))
         });
         Ok(Self {
             changes: change.collect(),
@@ -82,7 +71,7 @@ impl RetrievedOptics {
 
     /// Warnings for users, a sentence for each estimate that differs from the scene.
     pub fn warnings(&self) -> Vec<String> {
-        let mut sentences: Vec<String> = self.changes.iter().map(OpticsChange::sentence).collect();
+        let mut sentences: Vec<String> = self.changes.iter().map(sentence).collect();
         let reflectivities = &self.segment_reflectivities;
         if !reflectivities.is_empty() {
             let square: f64 = reflectivities.iter().map(|value| (value - 1.0).powi(2)).sum();

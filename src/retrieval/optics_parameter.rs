@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::modal::has_diversity;
-use crate::scene::{Changes, Parameter, ParameterKind, SearchRange, System};
+use crate::scene::{Changes, Optic, Parameter, ParameterKind, SearchRange, System};
 
 /// Ratio to the least objective at which a search in one direction ends.
 const END_RATIO: f64 = 4.0;
@@ -15,6 +15,7 @@ const LEAST_GAIN: f64 = 0.05;
 /// A parameter that is searched for.
 #[derive(Debug, Clone)]
 pub(super) struct SearchedParameter {
+    pub(super) optic: Optic,
     pub(super) parameter: &'static Parameter,
     /// Value in the scene.
     pub(super) own: f64,
@@ -25,11 +26,12 @@ impl SearchedParameter {
     /// Parameters that can be searched for in `scene`: none of the camera in focus, where a
     /// retrieval ends in one of many minima and objectives do not compare.
     pub(super) fn all(scene: &System) -> Vec<Self> {
-        let each = Parameter::all().filter_map(|parameter| {
+        let each = Optic::all().flat_map(|optic| optic.parameters().iter().map(move |parameter| (optic, parameter)));
+        let each = each.filter_map(|(optic, parameter)| {
             // The filter of a scene that names its number of wavelengths is known.
             let is_known = parameter.changes == Changes::Wavelengths && scene.estimate.wavelengths.is_some();
             let search = parameter.search(&scene.pupil, &scene.image).filter(|_| !is_known)?;
-            Some(Self { parameter, own: parameter.get(scene), search })
+            Some(Self { optic, parameter, own: parameter.get(scene), search })
         });
         each.filter(|one| one.search.kind == ParameterKind::Telescope || has_diversity(&scene.image)).collect()
     }
@@ -82,14 +84,14 @@ impl SearchedParameter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Optic;
     use std::cell::Cell;
 
     #[test]
     fn the_search_ends_at_the_minimum_or_at_a_steep_rise() {
         let search = SearchRange { kind: ParameterKind::Telescope, range: 0.0..=9.0, first_step: 1.0, last_step: 0.01 };
+        let optic = Optic::PLATE_SCALE;
         let parameter =
-            SearchedParameter { parameter: &Optic::PLATE_SCALE.parameters()[0], own: 0.0, search: search.clone() };
+            SearchedParameter { optic, parameter: &optic.parameters()[0], own: 0.0, search: search.clone() };
         let tries = Cell::new(0);
         let bowl = |at: f64| move |value: f64| Ok(1.0 + (value - at).powi(2));
         // Within the last step.

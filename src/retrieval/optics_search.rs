@@ -317,10 +317,10 @@ mod tests {
     }
 
     /// The key and the estimate of the only number that differs.
-    fn only_change(found: &RetrievedOptics) -> (&'static str, f64) {
+    fn only_change(found: &RetrievedOptics) -> (String, f64) {
         assert_eq!((found.changes.len(), found.warnings().len()), (1, 1), "{:?}", found.warnings());
         assert!(found.segment_reflectivities.is_empty());
-        (found.changes[0].key, found.changes[0].found)
+        (found.changes[0].key.clone(), found.changes[0].value)
     }
 
     #[test]

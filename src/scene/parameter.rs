@@ -129,7 +129,7 @@ impl Optic {
         &ROWS[self.row]
     }
 
-    /// All, in the order of the table.
+    /// All, in the order of the table, in which a search tries them.
     pub(crate) fn all() -> impl Iterator<Item = Self> {
         (0..ROWS.len()).map(|row| Self { row })
     }
@@ -221,11 +221,6 @@ impl FromToml for Vec<Optic> {
 }
 
 impl Parameter {
-    /// All, in the order in which a search tries them.
-    pub(crate) fn all() -> impl Iterator<Item = &'static Self> {
-        ROWS.iter().flat_map(|row| row.parameters)
-    }
-
     /// What in a scene has no such parameter, or an image that does not depend on it to first
     /// order.
     pub(crate) fn absence(&self, pupil: &PupilScene, image: &ImageScene) -> Option<&'static str> {

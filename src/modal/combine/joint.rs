@@ -30,10 +30,9 @@ use crate::modal::combine::integers::{self, ColourChannel, PistonInteger};
 use crate::modal::combine::pistons;
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::combine::{ModalEstimate, with_prior};
-use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::left_out::WithLeftOut;
-use crate::scene::{Optic, System};
+use crate::scene::{Optic, OpticalParameter, System};
 use crate::{Error, Result};
 use left_out::WithStep;
 use ndarray::{Array1, Array2, s};
@@ -62,7 +61,7 @@ pub(crate) struct JointEstimate {
     /// Their error bars.
     pub(crate) sigma_maps: StaticMaps,
     /// Amplitude of the diversity of the first channel that has one, where it was fitted.
-    pub(crate) defocus: Option<FittedOptic>,
+    pub(crate) defocus: Option<OpticalParameter>,
     /// What the modes leave out, where it is marginalised.
     pub(crate) left_out: Option<WithLeftOut>,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
@@ -309,11 +308,11 @@ pub(in crate::modal) fn amplitude_of<'a>(
 }
 
 /// The amplitude of the first diversity, from the relative error that was found.
-fn fitted_defocus(optic: Optic, channels: &[ChannelFit], found: &Normal, share: f64) -> Option<FittedOptic> {
+fn fitted_defocus(optic: Optic, channels: &[ChannelFit], found: &Normal, share: f64) -> Option<OpticalParameter> {
     let scene = amplitude_of(optic, channels.iter().map(|(fitter, _)| *fitter))?;
     let (value, sigma) = match found.amplitude() {
         Some((delta, sigma)) => (scene * (1.0 + delta), scene.abs() * sigma),
         None => (scene, f64::INFINITY),
     };
-    Some(FittedOptic { optic, number: None, segment: None, scene, value, sigma, identifiable_share: share })
+    Some(OpticalParameter::of_key(optic, optic.key()?, [scene, value]).with_error(sigma, share))
 }

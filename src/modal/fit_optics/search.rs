@@ -7,14 +7,13 @@ use super::parameter::{self, FittedParameter, starts, telescope, with_numbers};
 use crate::control::Control;
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::modal::combine::diversity_error::SharedError;
-use crate::modal::fit_optics::fitted_optic::FittedOptic;
 use crate::modal::model::band;
 use crate::modal::model::mode_set::{ModeSet, SceneBasis};
 use crate::modal::model::model_cache::ModelCache;
 use crate::modal::model::recipe::Recipe;
 use crate::modal::prepare::cube::Cube;
 use crate::modal::solve::minimum::Minimum;
-use crate::scene::{Changes, Crop, Optic, System};
+use crate::scene::{Changes, Crop, OpticalParameter, System};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array3, ArrayView1, Axis};
@@ -212,14 +211,12 @@ impl ParameterSearch {
         own: &[f64],
         values: &[f64],
         last: &ParameterIteration,
-    ) -> Vec<FittedOptic> {
+    ) -> Vec<OpticalParameter> {
         let mut fitted = Vec::new();
         for (i, parameter) in self.parameters.iter().enumerate() {
             if let FittedParameter::Number(optic, of) = *parameter {
-                let (sigma, identifiable_share) = (last.sigma[i], last.identifiable_share[i]);
-                let (scene, value) = (own[i], values[i]);
-                let number = Some(of.key);
-                fitted.push(FittedOptic { optic, number, segment: None, scene, value, sigma, identifiable_share });
+                let parameter = OpticalParameter::of_key(optic, of.key, [own[i], values[i]]);
+                fitted.push(parameter.with_error(last.sigma[i], last.identifiable_share[i]));
             }
         }
         let is_amplitude = |parameter: &FittedParameter| matches!(parameter, FittedParameter::Amplitude(_));
@@ -230,15 +227,8 @@ impl ParameterSearch {
         let least = shares.iter().copied().fold(f64::INFINITY, f64::min);
         let sigmas = parameter::amplitude_sigmas(telescope, &self.parameters, values, &last.covariance);
         for (segment, (amplitude, sigma)) in telescope.amplitudes().iter().zip(sigmas).enumerate() {
-            fitted.push(FittedOptic {
-                optic: Optic::REFLECTIVITIES,
-                number: None,
-                segment: Some(segment),
-                scene: 1.0,
-                value: amplitude * amplitude,
-                sigma: 2.0 * amplitude * sigma,
-                identifiable_share: shares.get(segment).copied().unwrap_or(least),
-            });
+            let share = shares.get(segment).copied().unwrap_or(least);
+            fitted.push(OpticalParameter::of_segment(segment, amplitude * amplitude, 2.0 * amplitude * sigma, share));
         }
         fitted
     }

@@ -3,9 +3,9 @@
 
 use super::finding::{CheckedQuantity, Finding, SAMPLING, Verdict, WAVELENGTH};
 use crate::linear_algebra::SpdInverse;
-use crate::modal::{FittedOptic, OpticsMinimum};
+use crate::modal::OpticsMinimum;
 use crate::pipeline::consistency::Contradiction;
-use crate::scene::{Optic, Scene, Setting};
+use crate::scene::{Optic, OpticalParameter, Scene, Setting};
 use ndarray::{Array1, Array2};
 
 /// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the
@@ -42,7 +42,7 @@ pub(super) fn findings(
     let all = minimum.fitter.fitted_optics();
     let one = |&optic: &Optic| {
         let at: Vec<usize> = (0..all.len()).filter(|&i| all[i].optic == optic).collect();
-        let group: Vec<&FittedOptic> = at.iter().map(|&i| &all[i]).collect();
+        let group: Vec<&OpticalParameter> = at.iter().map(|&i| &all[i]).collect();
         finding(
             (scene, optic),
             &group,
@@ -56,7 +56,7 @@ pub(super) fn findings(
 
 fn finding(
     (own_scene, optic): (&Scene, Optic),
-    group: &[&FittedOptic],
+    group: &[&OpticalParameter],
     covariance: &Array2<f64>,
     minimum: &OpticsMinimum,
     (scale, is_explained): (f64, bool),
@@ -87,13 +87,13 @@ fn finding(
     let mut explanation = match group {
         [_, _, ..] => {
             let terms: Vec<String> =
-                group.iter().map(|one| format!("{} = {:.4} ± {:.4}", one.key(), one.value, one.sigma)).collect();
+                group.iter().map(|one| format!("{} = {:.4} ± {:.4}", one.key, one.value, one.sigma)).collect();
             format!("{}: {}", optic.about(), terms.join(", "))
         }
         _ => {
-            let (key, value) = own_scene.own_form(&first.key(), first.value);
-            let (_, scene) = own_scene.own_form(&first.key(), first.scene);
-            let sigma = if key == first.key() { first.sigma } else { first.sigma * (value / first.value).abs() };
+            let (key, value) = own_scene.own_form(&first.key, first.value);
+            let (_, scene) = own_scene.own_form(&first.key, first.scene);
+            let sigma = if key == first.key { first.sigma } else { first.sigma * (value / first.value).abs() };
             format!("{key} = {value:.5} ± {sigma:.5}, where the scene has {scene:.5}")
         }
     };
@@ -101,7 +101,7 @@ fn finding(
         explanation += "; most of the residual has another cause, which changes this value";
     }
     let settings =
-        group.iter().filter(|_| is_fault).map(|one| Setting::of_six_decimals(one.key(), one.value)).collect();
+        group.iter().filter(|_| is_fault).map(|one| Setting::of_six_decimals(one.key.clone(), one.value)).collect();
     let (scene, found) = if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
     Finding {
         scene: Some(scene),

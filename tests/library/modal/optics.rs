@@ -28,7 +28,7 @@ fn plate_scale_and_rotation_are_found_with_error_bars() {
     let (estimator, residual_nm, promised_nm) = found(&made, &asked);
     let optics = estimator.fitted_optics();
     for (optic, (own, truth)) in optics.iter().zip([(3.0, 3.02), (0.0, 0.6)]) {
-        assert!(optic.is_identifiable() && optic.scene == own && optic.identifiable_share > 0.1, "{optic:?}");
+        assert!(optic.is_identifiable() && optic.scene == own && optic.identifiable > 0.1, "{optic:?}");
         // Four error bars, each far below what was off.
         assert!((optic.value - truth).abs() < 4.0 * optic.sigma, "{optic:?}");
         assert!(optic.sigma < 0.01 * (truth - own), "{optic:?}");
@@ -59,7 +59,7 @@ fn a_filters_width_is_modelled_and_found() {
     let (fitted, fitted_nm, fitted_promised_nm) =
         found(&made, &broad("0.08", &[("estimate.fit_optics", "[\"bandwidth\"]")]));
     let [optic] = fitted.fitted_optics() else { panic!("one was asked for") };
-    assert!(optic.is_identifiable() && optic.scene == 0.08 && optic.key() == "image.bandwidth_fraction", "{optic:?}");
+    assert!(optic.is_identifiable() && optic.scene == 0.08 && optic.key == "image.bandwidth_fraction", "{optic:?}");
     assert!((optic.value - 0.1).abs() < 4.0 * optic.sigma && optic.sigma < 0.002, "{optic:?}");
     for (residual_nm, promised_nm) in
         known_nm.iter().chain(&fitted_nm).zip(promised_nm.iter().chain(&fitted_promised_nm))
@@ -78,7 +78,7 @@ fn the_diffusion_of_charge_is_found() {
     let asked = diffuse("0.3").with(&[("estimate.fit_optics", "[\"charge-diffusion\"]")]).unwrap();
     let (estimator, residual_nm, promised_nm) = found(&made, &asked);
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    assert!(optic.is_identifiable() && optic.key() == "image.charge_diffusion_pixels", "{optic:?}");
+    assert!(optic.is_identifiable() && optic.key == "image.charge_diffusion_pixels", "{optic:?}");
     assert!((optic.value - 0.4).abs() < 4.0 * optic.sigma && optic.sigma < 0.02, "{optic:?}");
     for (residual_nm, promised_nm) in residual_nm.iter().zip(promised_nm) {
         // As in the tests above.
@@ -98,7 +98,7 @@ fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
     let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    let at = |value: f64| read(&own.with(&[(&optic.key(), &value.to_string())]).unwrap()).1.combined.modes;
+    let at = |value: f64| read(&own.with(&[(&optic.key, &value.to_string())]).unwrap()).1.combined.modes;
     // The modes of two plate scales, which are taken for known, forty error bars either way: the
     // samplings of models that are nearer to each other differ by as much (0.01 nm).
     let known = at(optic.value);
@@ -120,7 +120,7 @@ fn defocus_is_fitted_only_without_a_focus_mode() {
     let asked = ("estimate.fit_optics", "[\"defocus\"]");
     let (estimator, _, _) = found(&made, &scene(&[asked]));
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    assert!(!optic.is_identifiable() && optic.value == 0.8 && optic.identifiable_share < 1e-5, "{optic:?}");
+    assert!(!optic.is_identifiable() && optic.value == 0.8 && optic.identifiable < 1e-5, "{optic:?}");
     let (estimator, residual_nm, promised_nm) =
         found(&made.with(&NO_NCPA).unwrap(), &scene(&[asked]).with(&NO_NCPA).unwrap());
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
