@@ -100,11 +100,11 @@ pub(super) fn refuse_full_phase(scene: &System) -> Result<()> {
 pub(super) fn refuse_group(scene: &System) -> Result<()> {
     match scene.estimate.group {
         Grouping::Auto | Grouping::Each => Ok(()),
-        Grouping::All => Err(Error::Scene(
-            "estimate.group = \"all\" fits all images together, which a model and its sessions do not do: leave it out, or give this scene to \
-             the full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)"
-                .into(),
-        )),
+        together => Err(Error::Scene(format!(
+            "estimate.group = {} fits images together, which a model and its sessions do not do: leave it out, or give this scene to the \
+             full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)",
+            together.shown()
+        ))),
     }
 }
 

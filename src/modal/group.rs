@@ -21,12 +21,14 @@
 //! | `starts` | fits from several starts, and which minima there are |
 //! | `consistency` | whether the images are of one wavefront |
 //! | `posterior` | what the modes leave out, marginalised |
+//! | `sequence` | groups that have a wavefront each, and their mean |
 
 mod consistency;
 mod fit;
 mod member;
 mod posterior;
 mod prior;
+pub(in crate::modal) mod sequence;
 mod starts;
 mod unknowns;
 
@@ -34,6 +36,7 @@ use crate::Result;
 use crate::control::{Control, Stage};
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
 use crate::modal::assess::status::Status;
+use crate::modal::combine::agreement::Agreement;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::{JointEstimate, LEAST_SHARE, amplitude_of, check_same_modes, fitted_amplitude};
 use crate::modal::combine::static_maps::StaticMaps;
@@ -42,7 +45,7 @@ use crate::modal::estimate::image_fits::FittedCube;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Freedom, Group, Trial};
-use crate::modal::group::posterior::GroupPosterior;
+use crate::modal::group::posterior::{GroupPosterior, LeftOutOfChannels};
 use crate::modal::group::starts::{fit_from_all, is_right};
 use crate::modal::prepare::cube::Cube;
 use crate::modal::solve::engine::{FitState, ImageFit, prepare_frames, reason_of_none};
@@ -76,6 +79,20 @@ pub(crate) struct GroupEstimate {
     /// Channel and number of each image that was fitted, and the reduced χ² of its difference from
     /// the wavefront of all: the largest first; none for fewer than three images.
     pub(crate) differences: Vec<([usize; 2], f64)>,
+    /// Where it is the mean of several groups.
+    pub(crate) sequence: Option<GroupSequence>,
+}
+
+/// The groups of a sequence, by their numbers.
+pub(crate) struct GroupSequence {
+    /// How many there are.
+    pub(crate) count: usize,
+    /// Whether the groups are of one wavefront.
+    pub(crate) agreement: Agreement,
+    /// Those that were fitted: all of whose images can be used.
+    pub(crate) fitted: Vec<usize>,
+    /// Those of these whose mean the estimate is.
+    pub(crate) used: Vec<usize>,
 }
 
 /// Fits the images of all `channels` of `scene` together, and marginalises what the modes leave
@@ -102,7 +119,15 @@ pub(crate) fn estimate_group(
     control.enter(Stage::Combining, 0);
     let fitters = own.iter().map(|fitter| found.fitter(fitter)).collect::<Result<Vec<_>>>()?;
     let names: Vec<String> = channels.iter().map(|channel| channel.name.clone()).collect();
-    let posterior = marginalise.then(|| found.posterior(scene, &fitters, &names)).transpose()?;
+    let left_out = marginalise.then(|| {
+        // In nm of the diversity before it had the amplitude that was found.
+        let amplitude = found.group.unknowns.amplitude();
+        let unit_nm = amplitude.map(|place| found.group.amplitude_unit_nm() + found.best.point[place]);
+        LeftOutOfChannels::new(scene, &fitters, &names, unit_nm)
+    });
+    let left_out = left_out.transpose()?;
+    let of_group = (&found.group, &found.best, &found.normal.each[..]);
+    let posterior = left_out.as_ref().map(|of| GroupPosterior::new(of_group, &fitters, of)).transpose()?;
     if let Some(posterior) = &posterior {
         found.explain(&posterior.left_out.explained_chi2);
     }
@@ -132,6 +157,17 @@ pub(crate) fn estimate_group(
     if differences.len() < 3 {
         differences.clear();
     }
+    let (minima, channels) = (found.minima, of_channels(fitters, fits, started)?);
+    Ok(GroupEstimate { joint, channels, minima, is_explained, differences, sequence: None })
+}
+
+/// The images of each channel at their minima, by `fitters`; or why none of them can be used. Their
+/// fits began at `started`.
+fn of_channels(
+    fitters: Vec<ModalFitter>,
+    fits: Vec<Vec<ImageFit>>,
+    started: Instant,
+) -> Result<Vec<std::result::Result<(ModalFitter, ModalEstimate), String>>> {
     let mut estimates = Vec::new();
     for (mut fitter, fits) in fitters.into_iter().zip(fits) {
         if let Some(reason) = fits.iter().all(|fit| !fit.is_fitted()).then(|| reason_of_none(&fits)) {
@@ -146,7 +182,7 @@ pub(crate) fn estimate_group(
             if estimates.iter().any(std::result::Result::is_ok) { 0.0 } else { started.elapsed().as_secs_f64() };
         estimates.push(Ok((fitter, own)));
     }
-    Ok(GroupEstimate { joint, channels: estimates, minima: found.minima, is_explained, differences })
+    Ok(estimates)
 }
 
 /// The joint estimate of images that were fitted alone by `fitters` of the channels of `scene`,
@@ -234,11 +270,6 @@ impl<'a> Solution<'a> {
             Some(_) => fitter.with_diversity_times(self.factor()),
             None => Ok(fitter.clone()),
         }
-    }
-
-    /// What the modes leave out, where `fitters` have the diversities that were found.
-    fn posterior(&self, scene: &System, fitters: &[ModalFitter], names: &[String]) -> Result<GroupPosterior> {
-        GroupPosterior::new(scene, (&self.group, &self.best, &self.normal.each), fitters, names)
     }
 
     /// The joint estimate, where `fitters` have the diversities that were found.

@@ -138,7 +138,8 @@ impl<'a> Channels<'a> {
             fits.iter_mut().for_each(|fitted| fitted.fit.1.forget_left_out());
         }
         let each = fits.into_iter().map(|fitted| fitted.into_estimate(&self.policy)).collect::<Result<Vec<_>>>()?;
-        combined(self.scene, found, names(self.channels), each)
+        let scatter = each.iter().any(|one| one.is_sequence).then_some("images");
+        combined(self.scene, found, names(self.channels), (each, scatter))
     }
 
     /// The fits of each channel; all by the same modes, which are those of a scene that was
@@ -221,12 +222,13 @@ fn own_scene(scene: &Scene) -> Result<Scene> {
     })
 }
 
-/// The estimate of all channels, from the joint one and those of each channel.
+/// The estimate of all channels, from the joint one and those of each channel; its error bars are
+/// from the `scatter` between these, or from the noise.
 pub(super) fn combined(
     scene: &Scene,
     found: JointEstimate,
     names: Vec<String>,
-    each: Vec<Estimate>,
+    (each, scatter): (Vec<Estimate>, Option<&str>),
 ) -> Result<Estimate> {
     let fits: Vec<&ModalSummary> = each.iter().filter_map(Estimate::modal).collect();
     let ([own, ..], [first, ..]) = (&fits[..], &each[..]) else {
@@ -247,8 +249,7 @@ pub(super) fn combined(
     let images: Vec<ImageOutcome> = each.iter().enumerate().flat_map(of_channel).collect();
     let used = images.iter().filter(|image| image.is_used);
     let sum = |value: fn(&Run) -> f64| each.iter().map(|one| value(&one.run)).sum::<f64>();
-    let is_sequence = each.iter().any(|one| one.is_sequence);
-    let name = if is_sequence { "scatter between images" } else { "noise" };
+    let name = scatter.map_or_else(|| "noise".to_owned(), |of| format!("scatter between {of}"));
     let is_unknown = scene.estimate.diversity_error > 0.0 || found.defocus.is_some();
     let name = format!("{name}{}", if is_unknown { ", amplitude of the diversities" } else { "" });
     let [phasing_nm, ncpa_nm, _] = errors.rms_nm(&found.modes.covariance_nm2)?;
@@ -275,7 +276,7 @@ pub(super) fn combined(
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
         status: *Status::worst(each.iter().map(|one| &one.status)),
-        is_sequence,
+        is_sequence: scatter.is_some(),
         model: first.model.clone(),
         optics: optics(&found, &names, &each),
         warnings: warnings(&found, &names, &each),

@@ -5,7 +5,7 @@ use super::consistency::{Electrons, reconcile};
 use super::cut_out::scene_of_cut_out;
 use super::divided_images::DividedImages;
 use super::estimate::Estimate;
-use super::group::{Together, refuse_parts};
+use super::grouping::{Together, refuse_parts};
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;

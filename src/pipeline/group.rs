@@ -3,139 +3,20 @@
 
 use super::channels::{ChannelImages, Channels, combined, names};
 use super::estimate::Estimate;
+use super::grouping::{How, Together, fitted_images};
 use super::modal_task::Fitted;
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
-use super::warnings::group_warnings;
+use super::warnings::{agreement_sentence, group_warnings, named};
+use crate::Result;
 use crate::control::{Control, Stage};
 use crate::modal::{
-    self, GroupChannel, GroupEstimate, JointEstimate, Minima, ModalFitter, Search, Status, are_determined, is_weak,
+    self, GroupChannel, GroupEstimate, GroupSequence, JointEstimate, Minima, ModalFitter, SEQUENCE, Search, Status,
+    are_determined,
 };
-use crate::scene::{Combine, DeviceChoice, Grouping, Optic, Precision, Scene, Weighting};
+use crate::scene::{Combine, Grouping, Scene};
 use crate::statistics::median;
-use crate::{Error, Result};
 use std::time::Instant;
-
-/// How the images of several channels are fitted together.
-pub(super) struct Together {
-    /// Which channels are in focus or have less than half a wave of diversity.
-    weak: Vec<bool>,
-    /// Whether the images are fitted alone, by channel, where one wavefront does not explain them.
-    may_be_alone: bool,
-}
-
-impl Together {
-    /// How the images of `channels` are fitted together; `None` where each is fitted alone.
-    ///
-    /// # Errors
-    /// Those of the diversities; [`Error::Scene`] for settings that a fit of several images
-    /// together does not have.
-    pub(super) fn of(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<Option<Self>> {
-        let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
-        let alone = || match &scene.estimate.fitted_images {
-            None => Ok(None),
-            Some(_) => Err(Error::Scene(format!(
-                "{}: estimate.fitted_images names images that are fitted together, and each is fitted alone here; leave it out, or set \
-                 estimate.group = \"all\"",
-                scene.name()
-            ))),
-        };
-        if scene.estimate.group == Grouping::Each || (scene.estimate.group == Grouping::Auto && channels.len() < 2) {
-            return alone();
-        }
-        let weak = channels.iter().map(|channel| is_weak(&channel.scene)).collect::<Result<Vec<_>>>()?;
-        let why = match scene.estimate.group {
-            Grouping::All if images > 1 => "estimate.group = \"all\" fits all images together".to_owned(),
-            Grouping::All => {
-                return Err(Error::Scene(format!(
-                    "{}: estimate.group = \"all\" fits all images together, and there is one: two or more are needed",
-                    scene.name()
-                )));
-            }
-            _ => match channels.iter().zip(&weak).find(|(_, is_weak)| **is_weak) {
-                Some((channel, _)) => format!(
-                    "the channel '{}' is in focus or has less than half a wave of diversity, so that all images are fitted together",
-                    channel.name.unwrap_or_default()
-                ),
-                None if is_one_of_each(scene, policy, channels) => {
-                    return Ok(Some(Self { weak, may_be_alone: true }));
-                }
-                None => return alone(),
-            },
-        };
-        if let Some(optic) = other_optic(scene) {
-            return Err(Error::Scene(format!(
-                "{}: {why}, where estimate.fit_optics = [\"{}\"] is not fitted; \"defocus\" and \"diversity\" are (estimate.group = \"each\" fits each \
-                 image alone)",
-                scene.name(),
-                optic.word()
-            )));
-        }
-        if policy.recipe(scene).weighting != Weighting::Noise {
-            return Err(Error::Scene(format!(
-                "{}: {why}, which needs weights by the noise: estimate.weighting = \"noise\"",
-                scene.name()
-            )));
-        }
-        Ok(Some(Self { weak, may_be_alone: false }))
-    }
-
-    fn search(&self) -> Search {
-        match self {
-            Self { weak, .. } if weak.contains(&true) => Search::All,
-            _ => Search::IfNeeded,
-        }
-    }
-}
-
-/// Whether `channels` have one image each, which are fitted together where nothing in the scene
-/// asks for what a group does not have.
-fn is_one_of_each(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> bool {
-    let estimate = &scene.estimate;
-    channels.iter().all(|channel| channel.images.len() == 1)
-        && other_optic(scene).is_none()
-        && policy.recipe(scene).weighting == Weighting::Noise
-        && matches!(estimate.device, DeviceChoice::Auto | DeviceChoice::Cpu)
-        && estimate.precision() == Precision::F64
-}
-
-/// An optical parameter that is to be fitted and that a group does not fit.
-fn other_optic(scene: &Scene) -> Option<&Optic> {
-    scene.estimate.fit_optics.iter().find(|optic| ![Optic::DEFOCUS, Optic::DIVERSITY].contains(optic))
-}
-
-/// Which images of each channel are fitted.
-///
-/// # Errors
-/// [`Error::Scene`] for the number of an image that is not there.
-fn fitted_images(scene: &Scene, channels: &[ChannelImages]) -> Result<Vec<Vec<bool>>> {
-    let mut first = 0;
-    let each = channels.iter().map(|channel| {
-        let images = first..first + channel.images.len();
-        first = images.end;
-        let is_fitted = |number: usize| {
-            scene.estimate.fitted_images.as_ref().is_none_or(|fitted| fitted.contains(&(number as i64)))
-        };
-        images.map(is_fitted).collect()
-    });
-    let fitted = each.collect();
-    let odd = scene.estimate.fitted_images.iter().flatten().find(|number| **number >= first as i64);
-    match odd {
-        None => Ok(fitted),
-        Some(number) => Err(Error::Scene(format!(
-            "{}: estimate.fitted_images names image {number}, where there are {first}; 0 to {} are accepted",
-            scene.name(),
-            first.saturating_sub(1)
-        ))),
-    }
-}
-
-/// The error of parts of an estimate of `scene`, whose images are fitted together.
-pub(super) fn refuse_parts(scene: &Scene) -> Error {
-    Error::Scene(format!(
-        "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
-        scene.name()
-    ))
-}
 
 /// Estimates the wavefront of all images of `channels` together.
 ///
@@ -157,11 +38,14 @@ pub(super) fn estimate(
     let is_near_known = match strong.len() {
         0 => false,
         all if all == channels.len() => are_determined(&wavelengths_nm),
-        _ => true,
+        _ => matches!(together.how, How::All) || are_determined(&wavelengths_nm),
     };
     let near = is_near_known.then(|| alone.fit(None)).transpose()?;
     let task = GroupTask::new((scene, policy, control), (channels, together), near.as_ref(), started)?;
-    if !together.may_be_alone {
+    if let How::Successive(size) = together.how {
+        return task.estimate(task.fit_sequence(size, near.as_ref().map(|(_, near)| near), together.search())?);
+    }
+    if together.how == How::All {
         let near = near.filter(|(_, near)| !near.is_contradictory());
         let found = task.fit(&which, near.as_ref().map(|(_, near)| near), together.search())?;
         return task.estimate(task.without_foreign(&found)?.unwrap_or(found));
@@ -255,13 +139,36 @@ impl<'a> GroupTask<'a> {
 
     /// Fits the images `which`, near a wavefront that some of them show.
     fn fit(&self, which: &[Vec<bool>], near: Option<&JointEstimate>, search: Search) -> Result<GroupFit> {
-        let members = self.channels.iter().zip(&self.own).zip(which).map(|((channel, (_, fitter)), fitted)| {
+        let (members, near_nm) = (self.members(which), near.map(|near| near.modes.coefficients_nm.as_slice()));
+        let group = modal::estimate_group(self.scene, members, (near_nm, search), self.marginalise, self.control)?;
+        self.fitted(group, which, near)
+    }
+
+    /// Fits the groups of `size` successive images of each channel, the first near a wavefront.
+    fn fit_sequence(&self, size: usize, near: Option<&JointEstimate>, search: Search) -> Result<GroupFit> {
+        let which: Vec<Vec<bool>> = self.channels.iter().map(|channel| vec![true; channel.images.len()]).collect();
+        let (members, near_nm) = (self.members(&which), near.map(|near| near.modes.coefficients_nm.as_slice()));
+        let places = |group: usize| {
+            let images = group * size..(group + 1) * size;
+            (0..which.len()).flat_map(|channel| images.clone().map(move |image| [channel, image])).collect()
+        };
+        let groups: Vec<Vec<[usize; 2]>> = (0..which[0].len() / size).map(places).collect();
+        let how = (near_nm, search);
+        let group = modal::estimate_sequence(self.scene, &members, &groups, how, self.marginalise, self.control)?;
+        self.fitted(group, &which, near)
+    }
+
+    /// The channels with their images `which`.
+    fn members(&self, which: &[Vec<bool>]) -> Vec<GroupChannel<'_>> {
+        let each = self.channels.iter().zip(&self.own).zip(which).map(|((channel, (_, fitter)), fitted)| {
             let name = channel.name.unwrap_or_default().to_owned();
             GroupChannel { name, fitter: fitter.clone(), cube: channel.images.cube(), fitted: fitted.clone() }
         });
-        let near_nm = near.map(|near| near.modes.coefficients_nm.as_slice());
-        let how = (near_nm, search);
-        let mut group = modal::estimate_group(self.scene, members.collect(), how, self.marginalise, self.control)?;
+        each.collect()
+    }
+
+    /// What was found of the images `which`, with the whole wavelengths of `near`.
+    fn fitted(&self, mut group: GroupEstimate, which: &[Vec<bool>], near: Option<&JointEstimate>) -> Result<GroupFit> {
         group.joint.integers = near.map(|near| near.integers.clone()).unwrap_or_default();
         self.control.check("the images were fitted, nothing was written")?;
         Ok(GroupFit { group, which: which.to_vec(), foreign: Vec::new() })
@@ -295,7 +202,7 @@ impl<'a> GroupTask<'a> {
     /// The estimate from a fit.
     fn estimate(&self, found: GroupFit) -> Result<Estimate> {
         let GroupFit { group, which, foreign } = found;
-        let GroupEstimate { joint, channels: fits, minima, differences, .. } = group;
+        let GroupEstimate { joint, channels: fits, minima, differences, sequence, .. } = group;
         let (mut each, mut used, mut refused, mut compared) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (number, (fit, fitted)) in fits.into_iter().zip(&which).enumerate() {
             let (channel, (own, _)) = (&self.channels[number], &self.own[number]);
@@ -311,6 +218,10 @@ impl<'a> GroupTask<'a> {
             let model_seconds = if each.is_empty() { self.model_seconds } else { 0.0 };
             let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
             let mut own = fit.into_estimate(self.policy)?;
+            if let Some(sequence) = &sequence {
+                let size = fitted.len() / sequence.count;
+                own.images.iter_mut().enumerate().for_each(|(place, image)| of_sequence(image, place / size, sequence));
+            }
             let outcomes = own.images.iter_mut().zip(fitted).enumerate();
             for (place, (image, _)) in outcomes.filter(|(_, (_, is_fitted))| !**is_fitted) {
                 image.is_used = false;
@@ -327,7 +238,8 @@ impl<'a> GroupTask<'a> {
             used.push(channel);
         }
         let most_different = differences.first().filter(|_| joint.is_contradictory());
-        let mut estimate = combined(self.scene, joint, names(&used), each)?;
+        let has_scatter = sequence.as_ref().is_some_and(|sequence| sequence.used.len() >= SEQUENCE);
+        let mut estimate = combined(self.scene, joint, names(&used), (each, has_scatter.then_some("groups")))?;
         estimate.run.seconds = self.started.elapsed().as_secs_f64() - self.model_seconds;
         estimate.warnings.splice(0..0, refused);
         if let Some((place, chi2)) = most_different {
@@ -346,10 +258,31 @@ impl<'a> GroupTask<'a> {
         }
         // Of an image that is left out its warning has everything.
         let kept: Vec<_> = estimate.images.iter().filter(|image| !image.is_clipped).collect();
-        estimate.status = *Status::worst(kept.iter().map(|image| &image.report.status));
+        let contradiction = sequence.iter().filter(|sequence| sequence.agreement.is_contradictory());
+        let contradiction = contradiction.map(|_| &Status::Contradictory);
+        estimate.status = *Status::worst(kept.iter().map(|image| &image.report.status).chain(contradiction));
         estimate.warnings.splice(0..0, group_warnings(&kept));
         estimate.warnings.extend(warnings(&minima));
-        estimate.remarks.insert(0, remark(&estimate, &compared, &minima));
+        let Some(sequence) = sequence else {
+            estimate.remarks.insert(0, remark(&estimate, &compared, &minima));
+            return Ok(estimate);
+        };
+        let is_left_out = |group: usize| !sequence.used.contains(&group);
+        estimate.warnings.extend(agreement_sentence(&sequence.agreement, ("group", sequence.count), is_left_out));
+        let unusable: Vec<usize> = (0..sequence.count).filter(|group| !sequence.fitted.contains(group)).collect();
+        if !unusable.is_empty() {
+            let named = named(&unusable, ("group", sequence.count));
+            estimate.warnings.push(format!("{named} cannot be used: of a group all images are needed"));
+        }
+        let images = which.iter().map(Vec::len).sum::<usize>() / sequence.count;
+        estimate.remarks.insert(
+            0,
+            format!(
+                "{} groups of {images} images were fitted, each by itself, and the estimate is the mean of {}.",
+                sequence.fitted.len(),
+                sequence.used.len()
+            ),
+        );
         Ok(estimate)
     }
 
@@ -357,6 +290,17 @@ impl<'a> GroupTask<'a> {
     fn named(&self, [channel, image]: [usize; 2]) -> String {
         let of = self.channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
         format!("image {image}{of}")
+    }
+}
+
+/// Says of `image` of a group of `sequence` what became of the group.
+fn of_sequence(image: &mut ImageOutcome, group: usize, sequence: &GroupSequence) {
+    image.is_used = sequence.used.contains(&group);
+    image.is_clipped = !image.is_used && sequence.fitted.contains(&group);
+    if image.is_clipped {
+        image.message = "of a group of another wavefront than the others".into();
+    } else if !image.is_used && image.message.is_empty() {
+        image.message = "another image of its group cannot be used".into();
     }
 }
 

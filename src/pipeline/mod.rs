@@ -26,6 +26,7 @@ mod foreign_truth;
 mod frame_estimator;
 mod full_phase;
 mod group;
+mod grouping;
 mod image_changes;
 mod images;
 mod instrument;

@@ -116,7 +116,12 @@ fn quality(estimate: &Estimate) -> String {
     if rejected.total() > 0 {
         text += &format!(", {} rejected ({})", counted(rejected.total(), "outlier pixel"), rejected.kinds());
     }
-    text + if estimate.is_sequence { ". Error bars from the scatter between images." } else { "." }
+    let scatter = estimate.error_budget.first().filter(|_| estimate.is_sequence);
+    match scatter.map(|term| term.name.as_str()) {
+        Some("scatter between groups") => text + ". Error bars from the scatter between groups.",
+        Some(_) => text + ". Error bars from the scatter between images.",
+        None => text + ".",
+    }
 }
 
 /// Evaluations, time, device.

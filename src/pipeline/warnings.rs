@@ -257,17 +257,31 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
 
 /// Warning on images that are not of one wavefront.
 fn agreement_warning(found: &modal::ModalEstimate) -> Option<String> {
-    let Agreement { reduced_chi2, freedom, verdict } = &found.agreement;
-    let count = found.images.len();
+    // Said with the residual that a changing wavefront leaves.
+    let is_said = found.agreement.verdict == Verdict::Changing && sequence_warning(found).is_some();
+    let of = ("image", found.images.len());
+    agreement_sentence(&found.agreement, of, |image| found.combined.clipped_images.contains(&image))
+        .filter(|_| !is_said)
+}
+
+/// Warning on `count` images, or groups of them, that are not of one wavefront, where some are left
+/// out.
+pub(super) fn agreement_sentence(
+    agreement: &Agreement,
+    (noun, count): (&str, usize),
+    is_left_out: impl Fn(usize) -> bool,
+) -> Option<String> {
+    let Agreement { reduced_chi2, freedom, verdict } = agreement;
+    let named = |places: &[usize]| named(places, (noun, count));
     let scatter = format!(
-        "the reduced χ² of the images' differences is {reduced_chi2:.*} ({freedom:.0} degrees of freedom), where noise gives 1",
+        "the reduced χ² of the {noun}s' differences is {reduced_chi2:.*} ({freedom:.0} degrees of freedom), where noise gives 1",
         if *reduced_chi2 < 10.0 { 2 } else { 0 }
     );
     match verdict {
         Verdict::Untested | Verdict::OneWavefront => None,
         Verdict::Outliers(images) => {
-            let (which, are) = (images_named(images, count), if images.len() == 1 { "is" } else { "are" });
-            let is_out = images.iter().all(|image| found.combined.clipped_images.contains(image));
+            let (which, are) = (named(images), if images.len() == 1 { "is" } else { "are" });
+            let is_out = images.iter().all(|image| is_left_out(*image));
             let (were, remedy) = match (images.len() == 1, is_out) {
                 (true, true) => ("was", "left out"),
                 (false, true) => ("were", "left out"),
@@ -281,29 +295,28 @@ fn agreement_warning(found: &modal::ModalEstimate) -> Option<String> {
         }
         Verdict::SeveralWavefronts(group) => {
             let largest = if group.len() > 1 {
-                format!("; the largest group that agrees is of {}", images_named(group, count))
+                format!("; the largest set that agrees is of {}", named(group))
             } else {
                 "; no two agree".into()
             };
             Some(format!(
-                "the images contradict each other: {scatter}{largest}. Did segments, mirror, focus or pupil move between them? Their \
+                "the {noun}s contradict each other: {scatter}{largest}. Did segments, mirror, focus or pupil move between them? Their \
                  mean is the wavefront of none, and the error bars are scaled up to their scatter: estimate the images of one \
                  wavefront alone"
             ))
         }
-        // Said with the residual that a changing wavefront leaves.
-        Verdict::Changing if sequence_warning(found).is_some() => None,
         Verdict::Changing => Some(format!(
-            "the wavefront changes from image to image: {scatter}; error bars are from the scatter between images, and the maps are \
+            "the wavefront changes from {noun} to {noun}: {scatter}; error bars are from the scatter between {noun}s, and the maps are \
              those of the mean wavefront"
         )),
     }
 }
 
-/// Images by their numbers from 1, consecutive ones as a range: `images 1 to 4 and 7 of 20`.
-fn images_named(images: &[usize], count: usize) -> String {
-    let noun = if images.len() == 1 { "image" } else { "images" };
-    format!("{noun} {} of {count}", in_ranges(images, 1))
+/// Images, or groups of them, by their numbers from 1, consecutive ones as a range: `images 1 to 4
+/// and 7 of 20`.
+pub(super) fn named(places: &[usize], (noun, count): (&str, usize)) -> String {
+    let several = if places.len() == 1 { "" } else { "s" };
+    format!("{noun}{several} {} of {count}", in_ranges(places, 1))
 }
 
 /// Warning on an error of the model that only the mean of the images shows.
@@ -467,10 +480,10 @@ mod tests {
 
     #[test]
     fn images_are_named_by_ranges() {
-        assert_eq!(images_named(&[3], 7), "image 4 of 7");
-        assert_eq!(images_named(&[0, 1, 2, 4, 6, 7], 20), "images 1 to 3, 5, 7, 8 of 20");
+        assert_eq!(named(&[3], ("image", 7)), "image 4 of 7");
+        assert_eq!(named(&[0, 1, 2, 4, 6, 7], ("image", 20)), "images 1 to 3, 5, 7, 8 of 20");
         let alternate: Vec<usize> = (0..40).step_by(2).collect();
-        assert!(images_named(&alternate, 40).ends_with("13, 15, ... of 40"));
+        assert!(named(&alternate, ("image", 40)).ends_with("13, 15, ... of 40"));
     }
 
     #[test]

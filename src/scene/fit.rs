@@ -115,7 +115,9 @@ section! {
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the recipes of Lamb et al.");
         /// Images that are of one wavefront and are fitted together; "auto" takes one image of each
         /// of several channels, and all images where one of these is in focus or has less than half
-        /// a wave RMS of diversity.
+        /// a wave RMS of diversity. "channels" makes a sequence of groups of one image of each
+        /// channel, a number one of groups of so many successive images of each: the estimate is
+        /// that of their mean wavefront.
         group: Grouping, ANY, default(Grouping::Auto);
         /// Images that are fitted together, counted from 0 over the images of all channels. The
         /// others are compared with the wavefront of these: tip, tilt, flux and background of each

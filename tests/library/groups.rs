@@ -32,7 +32,7 @@ fn shapes(folder: &Path, rms_nm: f64) -> PathBuf {
 }
 
 /// Five images in focus, the first of a mirror at rest.
-fn in_focus(folder: &Path, settings: &[(&str, &str)]) -> Scene {
+pub fn in_focus(folder: &Path, settings: &[(&str, &str)]) -> Scene {
     let path = shapes(folder, 100.0);
     let usual = [
         ("image.diversity_focus_waves_rms", ""),
@@ -44,12 +44,12 @@ fn in_focus(folder: &Path, settings: &[(&str, &str)]) -> Scene {
     scene(&[&usual[..], settings].concat())
 }
 
-fn estimate(scene: &Scene, images: &Images) -> Estimate {
+pub fn estimate(scene: &Scene, images: &Images) -> Estimate {
     Estimator::new(scene).unwrap().estimate(images).unwrap()
 }
 
 /// Residual of the wavefront over its error bar.
-fn pull(estimate: &Estimate) -> f64 {
+pub fn pull(estimate: &Estimate) -> f64 {
     let (_, residual) = estimate.truth.as_ref().unwrap();
     residual.rms_nm[2] / estimate.figures.wavefront.sigma_nm
 }

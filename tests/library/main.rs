@@ -16,6 +16,7 @@ mod fits;
 mod full_phase;
 mod fuzz;
 mod golden;
+mod group_sequences;
 mod groups;
 mod left_out;
 mod measured_loop;

@@ -27,8 +27,9 @@ const SAMPLES: usize = 120;
 enum Differences {
     /// Shapes of a mirror, nm RMS, between images in focus.
     Shapes { images: usize, rms_nm: f64, is_scale_fitted: bool },
-    /// Two defocuses of opposite signs, waves RMS.
-    Pair { waves: f64 },
+    /// Two defocuses of opposite signs, waves RMS, and how many images of each; a group is one of
+    /// each.
+    Pair { waves: f64, exposures: usize },
     /// None: images of one defocus and this peak S/N, fitted together or each alone.
     Noise { images: usize, peak_snr: f64, is_together: bool },
 }
@@ -47,8 +48,8 @@ const fn shapes(name: &'static str, images: usize, rms_nm: f64, factor: f64) -> 
     GroupRow { name, differences: Differences::Shapes { images, rms_nm, is_scale_fitted: false }, factor }
 }
 
-const fn pair(name: &'static str, waves: f64) -> GroupRow {
-    GroupRow { name, differences: Differences::Pair { waves }, factor: 1.0 }
+const fn pairs(name: &'static str, waves: f64, exposures: usize) -> GroupRow {
+    GroupRow { name, differences: Differences::Pair { waves, exposures }, factor: 1.0 }
 }
 
 const fn faint(name: &'static str, peak_snr: f64, is_together: bool) -> GroupRow {
@@ -56,7 +57,7 @@ const fn faint(name: &'static str, peak_snr: f64, is_together: bool) -> GroupRow
 }
 
 /// The cases, at a peak S/N of 200 but for those that name another.
-pub const GROUP_ROWS: [GroupRow; 13] = [
+pub const GROUP_ROWS: [GroupRow; 15] = [
     shapes("5 in focus, shapes 150 nm", 5, 150.0, 1.0),
     GroupRow {
         name: "5 in focus, shapes 150 nm, scale fitted",
@@ -67,9 +68,11 @@ pub const GROUP_ROWS: [GroupRow; 13] = [
     shapes("3 in focus, shapes 200 nm", 3, 200.0, 1.0),
     shapes("8 in focus, shapes 100 nm", 8, 100.0, 1.0),
     shapes("5 in focus, shapes 100 nm, twice the aberrations", 5, 100.0, 2.0),
-    pair("pair of 0.1 waves", 0.1),
-    pair("pair of 0.2 waves", 0.2),
-    pair("pair of 0.3 waves", 0.3),
+    pairs("pair of 0.1 waves", 0.1, 1),
+    pairs("pair of 0.2 waves", 0.2, 1),
+    pairs("pair of 0.3 waves", 0.3, 1),
+    pairs("4 pairs of 0.2 waves, each a group", 0.2, 4),
+    pairs("10 pairs of 0.2 waves, each a group", 0.2, 10),
     faint("40 images at S/N 2, together", 2.0, true),
     faint("40 images at S/N 2, one by one", 2.0, false),
     faint("40 images at S/N 10, together", 10.0, true),
@@ -123,12 +126,14 @@ impl GroupRow {
                 ("image.count", &images.to_string()),
                 ("estimate.group", if is_together { "all" } else { "each" }),
             ]),
-            Differences::Pair { waves } => {
+            Differences::Pair { waves, exposures } => {
                 let channels = format!(
                     "[[image.channel]]\nname = \"plus\"\ndiversity_focus_waves_rms = {waves}\n\
                      [[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -{waves}\n[aberrations]"
                 );
-                Scene::from_text(&scene.text().replacen("[aberrations]", &channels, 1), Path::new(""))
+                let pair = Scene::from_text(&scene.text().replacen("[aberrations]", &channels, 1), Path::new(""))?;
+                let group = if exposures > 1 { "channels" } else { "auto" };
+                pair.with(&[("image.count", &exposures.to_string()), ("estimate.group", group)])
             }
         }
     }

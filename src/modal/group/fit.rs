@@ -215,6 +215,15 @@ impl<'a> Group<'a> {
         self.members.iter().map(score).collect()
     }
 
+    /// −½ of the gradient of all images, where they were evaluated last, by all unknowns.
+    pub(super) fn score(&self) -> Array1<f64> {
+        let mut sum = vec![0.0; self.unknowns.count()];
+        for (image, member) in self.members.iter().enumerate() {
+            self.unknowns.add_gradient(image, &member.evaluation.gradient, &mut sum);
+        }
+        Array1::from(sum) * -0.5
+    }
+
     /// Objective and gradient of all images at `point`.
     pub(super) fn evaluate(&mut self, point: &[f64]) -> (f64, Vec<f64>) {
         self.for_each(point, |member, coefficients| member.evaluate(coefficients));

@@ -9,14 +9,44 @@ use crate::modal::combine::joint::JointEstimate;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
-use crate::modal::left_out::{Equations, LeftOut, SAME, Step, WithLeftOut, has_one_camera, last_zernike, priors};
+use crate::modal::left_out::{
+    Equations, Group as LeftOutGroup, LeftOut, SAME, Step, WithLeftOut, has_one_camera, last_zernike, priors,
+};
 use crate::scene::System;
 use ndarray::{Array1, Array2, ArrayView1, s};
+
+/// What the modes of all channels leave out.
+pub(super) struct LeftOutOfChannels {
+    /// Of each channel.
+    pub(super) each: Vec<LeftOut>,
+    /// Of all images, those of the cameras last.
+    pub(super) groups: Vec<LeftOutGroup>,
+    has_one_camera: bool,
+}
+
+impl LeftOutOfChannels {
+    /// That of channels with `fitters` and names, the last of whose unknowns is the amplitude of
+    /// the diversities in nm of `unit_nm`, where it is given.
+    ///
+    /// # Errors
+    /// Those of [`LeftOut::new`].
+    pub(super) fn new(scene: &System, fitters: &[ModalFitter], names: &[String], unit_nm: Option<f64>) -> Result<Self> {
+        let last = last_zernike([fitters[0].recipe.exact_zernikes, fitters[0].recipe.prior_zernikes]);
+        let each = fitters.iter().map(|fitter| LeftOut::new(&fitter.model, last, &scene.tolerance, unit_nm));
+        let each = each.collect::<Result<Vec<LeftOut>>>()?;
+        let has_one_camera = has_one_camera(fitters.iter().map(|fitter| &fitter.scene.image));
+        let groups = each[0].groups_of(if has_one_camera { &[] } else { names });
+        Ok(Self { each, groups, has_one_camera })
+    }
+}
 
 /// The modes of a group with what they leave out.
 pub(super) struct GroupPosterior {
     pub(super) left_out: WithLeftOut,
     pub(super) consistency: Consistency,
+    pub(super) equations: GroupEquations,
+    /// By how much the variances of the images are larger than those of their noise.
+    pub(super) inflation: f64,
     /// Change of the amplitude of the diversities and its error bar, relative; `None` where it is
     /// known.
     amplitude: Option<[f64; 2]>,
@@ -31,9 +61,9 @@ struct Place {
 }
 
 /// Normal equations of a group, by the unknowns of its fit and by what that left out.
-struct GroupEquations {
-    information: Array2<f64>,
-    score: Array1<f64>,
+pub(super) struct GroupEquations {
+    pub(super) information: Array2<f64>,
+    pub(super) score: Array1<f64>,
     /// In the order of the group.
     images: Vec<ImageEquations>,
 }
@@ -47,21 +77,20 @@ struct ImageEquations {
 }
 
 impl GroupEquations {
-    /// Those at `best`, where the channels leave out `each`, and have one camera or one each.
+    /// Those at `best`, where the channels have what they leave out.
     ///
     /// # Errors
     /// Those of [`LeftOut::normal_equations`].
     fn new(
         (group, best): (&Group, &Trial),
         fitters: &[ModalFitter],
-        each: &[LeftOut],
-        has_one_camera: bool,
+        LeftOutOfChannels { each, has_one_camera, .. }: &LeftOutOfChannels,
     ) -> Result<Self> {
         let (fitted, shared, own) = (group.unknowns.count(), group.unknowns.shared(), each[0].of_camera());
-        let cameras = if has_one_camera { 1 } else { each.len() };
+        let cameras = if *has_one_camera { 1 } else { each.len() };
         let all = fitted + own.start - shared + own.len() * cameras;
         let place = |image: usize, channel: usize| {
-            let camera = if has_one_camera { 0 } else { channel };
+            let camera = if *has_one_camera { 0 } else { channel };
             let behind = |unknown: usize| {
                 let of_camera = if unknown < own.start { 0 } else { camera * own.len() };
                 if unknown < shared { unknown } else { fitted + unknown - shared + of_camera }
@@ -124,27 +153,19 @@ impl GroupEquations {
 impl GroupPosterior {
     /// Marginalises what the modes leave out of the fit `best` of `group`, whose images have the
     /// Gauss-Newton matrices `information_of_each` by their modes, and whose channels have
-    /// `fitters` with the diversities that were found, and names.
+    /// `fitters` with the diversities that were found.
     ///
     /// # Errors
-    /// Those of [`LeftOut::new`] and [`Step::new`].
+    /// Those of [`Step::new`].
     pub(super) fn new(
-        scene: &System,
         (group, best, information_of_each): (&Group, &Trial, &[Array2<f64>]),
         fitters: &[ModalFitter],
-        names: &[String],
+        of_channels: &LeftOutOfChannels,
     ) -> Result<Self> {
         let fitter = &fitters[0];
         let modes = fitter.model.optics.modes();
-        // In nm of the diversity before it had the amplitude that was found.
-        let unit_nm = group.unknowns.amplitude().map(|place| group.amplitude_unit_nm() + best.point[place]);
-        let last = last_zernike([fitter.recipe.exact_zernikes, fitter.recipe.prior_zernikes]);
-        let each = fitters.iter().map(|fitter| LeftOut::new(&fitter.model, last, &scene.tolerance, unit_nm));
-        let each = each.collect::<Result<Vec<LeftOut>>>()?;
-        let has_one_camera = has_one_camera(fitters.iter().map(|fitter| &fitter.scene.image));
-        let all = GroupEquations::new((group, best), fitters, &each, has_one_camera)?;
-        let left_out = &each[0];
-        let groups = left_out.groups_of(if has_one_camera { &[] } else { names });
+        let all = GroupEquations::new((group, best), fitters, of_channels)?;
+        let (left_out, groups) = (&of_channels.each[0], &of_channels.groups);
         let (mut at, mut at_modes) = (Array1::from(best.point.clone()), best.point[..modes].to_vec());
         fitter.motions.remove(&mut at_modes);
         at.slice_mut(s![..modes]).assign(&ArrayView1::from(&at_modes));
@@ -159,7 +180,7 @@ impl GroupPosterior {
                 precision: Some(group.precision(&best.prior, left_out.tilts())),
                 floor: null_floor(all.score.len(), group.pixels()),
             };
-            let step = Step::new(&equations, &priors(&groups))?;
+            let step = Step::new(&equations, &priors(groups))?;
             let (scores, explained_chi2) = all.explained(group, &step, left_out.tilts().len());
             let scale = ((chi2 - explained_chi2.iter().sum::<f64>()) / freedom).max(1.0);
             let consistency = consistency(group, information_of_each, scores, scale)?;
@@ -176,8 +197,9 @@ impl GroupPosterior {
             let mut coefficients_nm = (&at + &step.change).slice(s![..modes]).to_vec();
             fitter.motions.remove(&mut coefficients_nm);
             let combined = CombinedModes { coefficients_nm, covariance_nm2: own(&step.noise) + own(&step.added) };
-            let left_out = WithLeftOut::new((left_out, &fitter.motions), &groups, &step, combined, 1.0);
-            return Ok(Self { left_out: WithLeftOut { explained_chi2, ..left_out }, consistency, amplitude });
+            let left_out = WithLeftOut::new((left_out, &fitter.motions), groups, &step, combined, 1.0);
+            let left_out = WithLeftOut { explained_chi2, ..left_out };
+            return Ok(Self { left_out, consistency, equations: all, inflation, amplitude });
         }
         unreachable!("the second step is the last")
     }

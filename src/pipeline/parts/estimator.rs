@@ -9,7 +9,7 @@ use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::divided_images::DividedImages;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{EstimateInput, Estimator, acknowledged};
-use crate::pipeline::group::{Together, refuse_parts};
+use crate::pipeline::grouping::{Together, refuse_parts};
 use crate::pipeline::images::Images;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};

@@ -1,6 +1,7 @@
-//! Values with a syntax of their own: the device of an estimate, the crop of an image.
+//! Values with a syntax of their own: the device of an estimate, the crop of an image, which images
+//! are fitted together.
 
-use crate::scene::value::{FromToml, Range};
+use crate::scene::value::{ANY, FromToml, Range};
 use toml_edit::Value;
 
 /// Device that computes an estimate.
@@ -70,6 +71,59 @@ impl FromToml for DeviceChoice {
             Self::OpenCl => "\"opencl\"".into(),
             Self::All => "\"all\"".into(),
             Self::OpenClDevice { platform, device } => format!("\"opencl:{platform}:{device}\""),
+        }
+    }
+}
+
+/// Most successive images of a channel in a group.
+const MOST_SUCCESSIVE: usize = 10_000;
+
+/// Which images are fitted together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Grouping {
+    /// One image of each of several channels, and all images where one of these is in focus or has
+    /// less than half a wave RMS of diversity; each image alone otherwise.
+    Auto,
+    /// Each image alone.
+    Each,
+    /// All images of all channels.
+    All,
+    /// So many successive images of each channel, and the next ones again: a sequence of groups.
+    Successive(usize),
+}
+
+impl Grouping {
+    /// The value, as a scene has it.
+    pub(crate) fn shown(&self) -> String {
+        self.to_toml()
+    }
+}
+
+impl FromToml for Grouping {
+    fn accepted(_: &Range) -> String {
+        format!(
+            "\"auto\", \"each\", \"channels\" (the same as 1), \"all\" or a number of images from 1 to {MOST_SUCCESSIVE}"
+        )
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        match value.as_str() {
+            Some("auto") => Some(Self::Auto),
+            Some("each") => Some(Self::Each),
+            Some("channels") => Some(Self::Successive(1)),
+            Some("all") => Some(Self::All),
+            Some(_) => None,
+            None => usize::from_toml(value, &ANY)
+                .filter(|images| (1..=MOST_SUCCESSIVE).contains(images))
+                .map(Self::Successive),
+        }
+    }
+    fn to_toml(&self) -> String {
+        match self {
+            Self::Auto => "\"auto\"".into(),
+            Self::Each => "\"each\"".into(),
+            Self::All => "\"all\"".into(),
+            Self::Successive(1) => "\"channels\"".into(),
+            Self::Successive(images) => images.to_string(),
         }
     }
 }

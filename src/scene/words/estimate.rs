@@ -34,20 +34,6 @@ words! {
 }
 
 words! {
-    /// Which images are fitted together.
-    #[derive(Copy)]
-    Grouping {
-        /// One image of each of several channels, and all images where one of these is in focus or
-        /// has less than half a wave RMS of diversity; each image alone otherwise.
-        Auto = "auto",
-        /// Each image alone.
-        Each = "each",
-        /// All images of all channels.
-        All = "all",
-    }
-}
-
-words! {
     /// Weight of each pixel in a fit.
     #[derive(Copy)]
     Weighting {

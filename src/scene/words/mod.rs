@@ -38,10 +38,9 @@ pub use adaptive::{
     ControlBasis, Fill, Influence, Loop, OpticalGainMethod, ReconstructorKind, SensorDetector, SensorKind, SensorMask,
     SlopeNormalisation, SlopeOrder,
 };
-pub use device::{Crop, DeviceChoice};
+pub use device::{Crop, DeviceChoice, Grouping};
 pub use estimate::{
-    AoKnowledge, Combine, Grouping, Method, ModelChoice, Optimizer, Precision, Sampling, SegmentConvention, Telemetry,
-    Weighting,
+    AoKnowledge, Combine, Method, ModelChoice, Optimizer, Precision, Sampling, SegmentConvention, Telemetry, Weighting,
 };
 pub use telescope::{Aperture, NcpaBasis, PupilModel, SegmentModes};
 
