@@ -1,7 +1,7 @@
 //! Normal equations of images at their minima, by the fitted modes and by what was left out.
 
 use crate::imaging::LinearModel;
-use crate::modal::assess::fisher::{Sensitivity, null_floor, pseudo_inverse};
+use crate::modal::assess::fisher::{Sensitivity, null_floor, pseudo_inverse, root_of_pseudo_inverse};
 use crate::modal::assess::mean_residual::EXPLAINED;
 use crate::modal::assess::residual::photometry;
 use crate::modal::combine::combined_modes::CombinedModes;
@@ -10,9 +10,30 @@ use crate::modal::left_out::{Equations, LeftOut, SAME, Step, WithLeftOut, camera
 use crate::modal::model::Model;
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
+use crate::modes::symmetric_eigen;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, concatenate, s};
 use rayon::prelude::*;
+
+/// The covariance `noise_nm2` with what images scatter beyond another one of their noise. Where that
+/// leaves variances below 0, because both are not known well, only what it adds is taken.
+///
+/// # Errors
+/// [`Error::Internal`] for values that are not finite.
+fn with_scatter(noise_nm2: Array2<f64>, scatter_nm2: &Array2<f64>) -> Result<Array2<f64>> {
+    if scatter_nm2.iter().all(|value| *value == 0.0) {
+        return Ok(noise_nm2);
+    }
+    let sum_nm2 = &noise_nm2 + scatter_nm2;
+    let modes = sum_nm2.nrows();
+    let is_positive = sum_nm2.diag().iter().all(|variance| *variance >= 0.0);
+    if is_positive && root_of_pseudo_inverse(&sum_nm2, null_floor(modes, modes)).is_ok() {
+        return Ok(sum_nm2);
+    }
+    let (variances, directions) = symmetric_eigen(scatter_nm2)?;
+    let added = &directions * &variances.mapv(|variance| variance.max(0.0));
+    Ok(noise_nm2 + added.dot(&directions.t()))
+}
 
 impl LeftOut {
     /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
@@ -75,14 +96,15 @@ impl LeftOut {
         }
         let mut coefficients_nm = (&at + &step.change).to_vec();
         motions.remove(&mut coefficients_nm);
-        let with_noise = |noise: &Array2<f64>| &likelihood.covariance_nm2 - noise_nm2 + motions.removed_from(noise);
-        let covariance_nm2 = with_noise(&step.noise) + motions.removed_from(&step.added);
+        let scatter_nm2 = &likelihood.covariance_nm2 - noise_nm2;
+        let with_noise = |noise: &Array2<f64>| with_scatter(motions.removed_from(noise), &scatter_nm2);
+        let covariance_nm2 = with_noise(&step.noise)? + motions.removed_from(&step.added);
         let modes = CombinedModes { coefficients_nm, covariance_nm2 };
         let alone_nm2 = if self.tilts.is_empty() {
-            with_noise(&step.noise)
+            with_noise(&step.noise)?
         } else {
             let own = information.slice(s![..self.fitted, ..self.fitted]).to_owned() / scale;
-            with_noise(&pseudo_inverse(&own, floor)?)
+            with_noise(&pseudo_inverse(&own, floor)?)?
         };
         let alone = CombinedModes { covariance_nm2: alone_nm2, ..likelihood.clone() };
         let found = WithLeftOut::new((self, motions), &self.groups, &step, modes, 1.0);
@@ -182,4 +204,23 @@ pub(in crate::modal) struct NormalEquations {
     /// χ² of all, and its degrees of freedom.
     pub(in crate::modal) chi2: f64,
     pub(in crate::modal) freedom: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn scatter_leaves_no_variance_below_zero() {
+        let noise_nm2 = array![[2.0, 0.5], [0.5, 1.0]];
+        // Less than the noise of another estimate of it, and by less than this has.
+        let small = array![[-0.5, 0.0], [0.0, 3.0]];
+        assert_eq!(with_scatter(noise_nm2.clone(), &small).unwrap(), &noise_nm2 + &small);
+        let large = array![[-4.0, 0.0], [0.0, 3.0]];
+        let found = with_scatter(noise_nm2.clone(), &large).unwrap();
+        let expected = &noise_nm2 + &array![[0.0, 0.0], [0.0, 3.0]];
+        assert!((&found - &expected).iter().all(|off| off.abs() < 1e-14), "{found}");
+        assert_eq!(with_scatter(noise_nm2.clone(), &Array2::zeros((2, 2))).unwrap(), noise_nm2);
+    }
 }
