@@ -76,11 +76,11 @@ plt.show()
 # -----------------------
 #
 # One defocused image does not show by how much it is defocused: an error of the defocus is an error of the NCPA's focus.
-# ``estimate.diversity_error`` states how well the defocus is known, and puts that into the error bars.
+# ``tolerance.defocus_fraction`` states how well the defocus is known, and puts that into the error bars.
 
 errors = [0.0, 0.001, 0.01]
 budgets = [
-    cophase.Estimator(cophase.scene_set(scene, estimate__diversity_error=error)).estimate(image(300)).error_budget
+    cophase.Estimator(cophase.scene_set(scene, tolerance__defocus_fraction=error)).estimate(image(300)).error_budget
     for error in errors
 ]
 for error, budget in zip(errors, budgets):

@@ -230,7 +230,7 @@ impl<'a> Solution<'a> {
         control: &Control,
     ) -> Result<Self> {
         let amplitude = fitted_amplitude(scene);
-        let known_to = Some(scene.estimate.diversity_error).filter(|sigma| *sigma > 0.0);
+        let known_to = Some(scene.tolerance.defocus_fraction).filter(|sigma| *sigma > 0.0);
         let mut group = Group::new(fitters, fits, &is_fitted, amplitude.map(|_| f64::INFINITY).or(known_to))?;
         let (mut best, mut minima) = fit_from_all(&mut group, search, control)?;
         let mut normal = Normal::new(&mut group, &mut best)?;

@@ -250,7 +250,7 @@ pub(super) fn combined(
     let used = images.iter().filter(|image| image.is_used);
     let sum = |value: fn(&Run) -> f64| each.iter().map(|one| value(&one.run)).sum::<f64>();
     let name = scatter.map_or_else(|| "noise".to_owned(), |of| format!("scatter between {of}"));
-    let is_unknown = scene.estimate.diversity_error > 0.0 || found.defocus.is_some();
+    let is_unknown = scene.tolerance.defocus_fraction > 0.0 || found.defocus.is_some();
     let name = format!("{name}{}", if is_unknown { ", amplitude of the diversities" } else { "" });
     let [phasing_nm, ncpa_nm, _] = errors.rms_nm(&found.modes.covariance_nm2)?;
     let mut error_budget = vec![ErrorTerm { name, phasing_nm, ncpa_nm }];

@@ -129,7 +129,7 @@ fn refuse_of_sequence(scene: &Scene, policy: &Policy) -> Result<()> {
     let odd = [
         (estimate.fitted_images.is_some(), "estimate.fitted_images"),
         (!estimate.fit_optics.is_empty(), "estimate.fit_optics"),
-        (estimate.diversity_error > 0.0, "estimate.diversity_error"),
+        (scene.tolerance.defocus_fraction > 0.0, "tolerance.defocus_fraction"),
         (policy.recipe(scene).combine == Combine::Median, "estimate.combine = \"median\""),
     ];
     match odd.iter().find(|(is_set, _)| *is_set) {

@@ -4,8 +4,8 @@
 //! Each candidate is simulated once, with the star of the scene at the same number of electrons an
 //! exposure, and estimated as its images would be. Its error bars are from the Fisher information
 //! of its images, and fall with the root of the number of exposures; errors that all images share
-//! (`estimate.diversity_error`) do not. A candidate whose estimate is flagged, or whose residual is
-//! beyond three error bars, is not recommended: it does not find the wavefront of the scene's
+//! (`tolerance.defocus_fraction`) do not. A candidate whose estimate is flagged, or whose residual
+//! is beyond three error bars, is not recommended: it does not find the wavefront of the scene's
 //! `[aberrations]`.
 
 use super::estimate::Estimate;

@@ -15,9 +15,9 @@ pub(super) const ON_DIVERSITY: &str = "The NCPA depend on the scene's diversity.
 /// Remark on the diversity, which holds for every image of a scene: how an error of it changes the
 /// NCPA.
 pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -> Option<String> {
-    (diversity.is_spanned() && scene.estimate.diversity_error == 0.0).then(|| {
+    (diversity.is_spanned() && scene.tolerance.defocus_fraction == 0.0).then(|| {
         format!(
-            "{ON_DIVERSITY} An error of 1 % of it changes them by {:.1} nm (estimate.diversity_error includes such an error in the \
+            "{ON_DIVERSITY} An error of 1 % of it changes them by {:.1} nm (tolerance.defocus_fraction includes such an error in the \
              error bars).",
             0.01 * diversity.rms_nm
         )

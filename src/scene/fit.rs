@@ -99,9 +99,6 @@ section! {
         /// Memory that an estimate may use in addition to its images, 1e9 bytes; larger problems
         /// are divided into tiles.
         memory_gb: f64, above(0.0, 1e6), default(8.0);
-        /// Relative standard deviation of the diversity's amplitude, for the error bars: an error
-        /// of it appears as NCPA.
-        diversity_error: f64, between(0.0, 1.0), default(0.0);
         /// Optical parameters that are fitted in addition to the modes, to up to six images
         /// together.
         fit_optics: Vec<Optic>, ANY, default([]);

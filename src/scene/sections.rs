@@ -214,7 +214,9 @@ impl Sections {
             let sentence = "control.reconstructor = \"sparse\" is not accepted where wavefront_sensor.kind = \"pyramid\", whose slopes depend on the whole wavefront; \"dense\" is needed";
             return Err(reader("control").error("reconstructor", sentence));
         }
-        let named = self.tolerance.differences(&ToleranceScene::usual()?).into_iter().next();
+        // The amplitude of the diversity needs no step.
+        let usual = ToleranceScene { defocus_fraction: self.tolerance.defocus_fraction, ..ToleranceScene::usual()? };
+        let named = self.tolerance.differences(&usual).into_iter().next();
         if let Some((key, value)) = named.filter(|_| !self.estimate.has_posterior()) {
             let sentence = format!(
                 "tolerance.{key} = {value} has no effect where estimate.posterior = false, and without noise weights or estimate.method = \"modal\"; \
@@ -232,7 +234,8 @@ impl Sections {
     /// one channel of several, whose estimate has what the modes of all leave out.
     pub(crate) fn leave_out_posterior(&mut self) {
         if let Ok(usual) = ToleranceScene::usual() {
-            (self.estimate.posterior, self.tolerance) = (Some(false), usual);
+            let defocus_fraction = self.tolerance.defocus_fraction;
+            (self.estimate.posterior, self.tolerance) = (Some(false), ToleranceScene { defocus_fraction, ..usual });
         }
     }
 

@@ -9,6 +9,9 @@ section! {
     /// Standard deviations of what the scene takes to be exact, within which the images decide,
     /// and which the error bars hold unless estimate.posterior = false; 0 is exact. Estimate only.
     ToleranceScene = "tolerance" {
+        /// Amplitude of the defocus, or of the diversity from a file: an error of it appears as
+        /// NCPA, and one image does not show it. It is in the error bars of every method.
+        defocus_fraction: f64, between(0.0, 1.0), default(0.0);
         /// Scale of the image along x and along y, and its shear.
         pixel_scale_fraction: f64, between(0.0, 0.1), default(1e-3);
         /// Angle of the camera.

@@ -6,7 +6,7 @@
 pub(crate) enum ErrorSource {
     /// Noise and turbulence, averaged over the images: falls as one over the root of their number.
     NoiseAndTurbulence,
-    /// Error of the diversity (`estimate.diversity_error`), common to all images.
+    /// Error of the diversity (`tolerance.defocus_fraction`), common to all images.
     DiversityError,
     /// Response of a loop that is not known to the pistons, which counts as NCPA; 0 where the loop
     /// is known.

@@ -236,7 +236,7 @@ impl StaticModes {
 
 /// Covariance of the NCPA's modes from an error of the diversity, nm².
 fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &System) -> Result<Option<Array2<f64>>> {
-    let fraction = scene.estimate.diversity_error;
+    let fraction = scene.tolerance.defocus_fraction;
     let left = 100.0 * diversity.residual_share;
     let remedy = format!("the full-phase estimate's modes leave {left:.0} % of this one, and hold a focus");
     (fraction > 0.0).then(|| diversity.covariance_nm2(fraction, &remedy)).transpose()
@@ -248,7 +248,7 @@ fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &System) -> 
 /// # Errors
 /// [`Error::Scene`]; those of making the modes.
 pub(crate) fn check_diversity(family: NcpaFamily, scene: &System, telescope: &Telescope) -> Result<()> {
-    if scene.estimate.diversity_error > 0.0 {
+    if scene.tolerance.defocus_fraction > 0.0 {
         let sampled = NcpaBasis::new(family, scene, telescope)?.modes.sampled(&telescope.pupil)?;
         diversity_covariance_nm2(&DiversityProjection::new(scene, telescope, &sampled, 0)?, scene)?;
     }

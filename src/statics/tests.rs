@@ -241,7 +241,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     };
     let known = simulator.scene();
     let (sure, mut unsure) =
-        (find(known), find(&known.with(|sections| sections.estimate.diversity_error = 0.1).unwrap()));
+        (find(known), find(&known.with(|sections| sections.tolerance.defocus_fraction = 0.1).unwrap()));
     assert_eq!(sure.modes().coefficients_nm, unsure.modes().coefficients_nm);
     let (known_nm, total_nm) = (sure.error_budget.total_nm, unsure.error_budget.total_nm);
     assert_eq!((sure.error_budget.averaged_nm(), unsure.error_budget.averaged_nm()), (known_nm, known_nm));

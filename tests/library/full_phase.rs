@@ -204,14 +204,14 @@ fn a_diversity_error_outside_the_modes_is_refused() {
     file.image("DIVERSITY", &ripples, Pixel::F64, "nm").unwrap();
     file.finish().unwrap();
     let path = path.display().to_string();
-    let unsure = [("estimate.method", "full-phase"), ("estimate.diversity_error", "0.02")];
+    let unsure = [("estimate.method", "full-phase"), ("tolerance.defocus_fraction", "0.02")];
     let ripples = [("image.diversity_focus_waves_rms", ""), ("image.diversity_file", &*path)];
     let images_e = Array3::zeros((3, 72, 80));
     for settings in [&ripples[..], &[("image.diversity_focus_waves_rms", "0")]] {
         let scene = Scene::from_file(sky()).unwrap().with(&[settings, &unsure].concat()).unwrap();
         match read(&scene, &Images::new(images_e.clone())).map(|_| ()) {
             Err(Error::Scene(sentence)) => {
-                assert_facts(&sentence, "estimate.diversity_error = 0.02 | modes | hold a focus");
+                assert_facts(&sentence, "tolerance.defocus_fraction = 0.02 | modes | hold a focus");
             }
             other => panic!("{other:?}"),
         }

@@ -136,5 +136,5 @@ fn what_a_sequence_of_groups_does_not_take_is_named() {
     refused(&[("estimate.combine", "median")], &["sequence of groups", "median"]);
     refused(&[("estimate.fitted_images", "[0, 1]")], &["sequence of groups", "estimate.fitted_images"]);
     refused(&[("estimate.fit_optics", "[\"defocus\"]")], &["sequence of groups", "estimate.fit_optics"]);
-    refused(&[("estimate.diversity_error", "0.01")], &["sequence of groups", "estimate.diversity_error"]);
+    refused(&[("tolerance.defocus_fraction", "0.01")], &["sequence of groups", "tolerance.defocus_fraction"]);
 }

@@ -77,7 +77,7 @@ fn refines_to(session: &Session, estimate: &Estimate) {
 #[test]
 fn a_session_agrees_with_the_estimate() {
     for (channels, error) in [(PAIR, "0"), (PAIR, "0.01"), (COLOURS, "0")] {
-        let scene = with_channels(channels, &[("estimate.diversity_error", error)]);
+        let scene = with_channels(channels, &[("tolerance.defocus_fraction", error)]);
         let images = Images::simulated(&scene).unwrap();
         let mut session = session(&scene, &images);
         // Twice: nothing of the first fit is left in the second.

@@ -1,10 +1,10 @@
 //! Error of the diversity's amplitude, which an image cannot distinguish from the wavefront.
 //!
-//! With d the diversity and m the modes, the image of `m·c` behind `(1 + δ)·d` is that of
-//! `m·c + δ·d` behind d. Where the modes span d, δ·d is estimated as part of the wavefront and does
-//! not change χ²: an error of 5 % of 1.5 waves is 163 nm of focus. Where the scene says how well
-//! the diversity is known (`estimate.diversity_error`), the error bars include it. A fit of δ with
-//! a normal prior of that width would give the same error bars.
+//! With d the diversity and m the modes, the image of m·c behind (1 + δ)·d is that of m·c + δ·d
+//! behind d. Where the modes span d, δ·d is estimated as part of the wavefront and does not change
+//! χ²: an error of 5 % of 1.5 waves is 163 nm of focus. Where the scene says how well the diversity
+//! is known (`tolerance.defocus_fraction`), the error bars include it. A fit of δ with a normal
+//! prior of that width would give the same error bars.
 
 use crate::modal::model::Model;
 
@@ -159,7 +159,7 @@ impl DiversityProjection {
     pub fn covariance_nm2(&self, fraction: f64, remedy: &str) -> Result<Array2<f64>> {
         if !self.is_spanned() {
             return Err(Error::Scene(format!(
-                "estimate.diversity_error = {fraction} needs modes that span the diversity, so that its error is an error of the modes; \
+                "tolerance.defocus_fraction = {fraction} needs modes that span the diversity, so that its error is an error of the modes; \
                  {remedy}"
             )));
         }
@@ -216,12 +216,12 @@ pub(in crate::modal) fn project_diversity(model: &Model, scene: &System) -> Resu
 }
 
 /// The error that all images share where the diversity is known to a fraction of its amplitude
-/// (`estimate.diversity_error`).
+/// (`tolerance.defocus_fraction`).
 ///
 /// # Errors
 /// [`Error::Scene`] where the modes do not span the diversity.
 pub(in crate::modal) fn shared_error(model: &Model, scene: &System) -> Result<Option<SharedError>> {
-    let fraction = scene.estimate.diversity_error;
+    let fraction = scene.tolerance.defocus_fraction;
     if fraction == 0.0 {
         return Ok(None);
     }

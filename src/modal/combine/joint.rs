@@ -12,9 +12,9 @@
 //!
 //! δ is the relative error of the amplitude of the diversities d_i, whose coefficients are p_i: an
 //! image of c behind (1+δ) d_i is that of c + δ d_i behind d_i. One mechanism is assumed to make
-//! them all. It is known to σ (`estimate.diversity_error`), not at all where `estimate.fit_optics`
-//! names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one
-//! does not.
+//! them all. It is known to σ (`tolerance.defocus_fraction`), not at all where
+//! `estimate.fit_optics` names "defocus", and exactly otherwise. Two images with diversities d and
+//! −d determine it, one does not.
 //!
 //! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the
 //! channels are of one wavefront by one model: an image that is flipped, or of another wavelength
@@ -131,7 +131,7 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
         likelihoods.map(|(number, &fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
     let amplitude = fitted_amplitude(scene);
     let is_fitted = amplitude.is_some();
-    let sigma = scene.estimate.diversity_error;
+    let sigma = scene.tolerance.defocus_fraction;
     let is_unknown = is_fitted || sigma > 0.0;
     if is_unknown {
         check_spanned(channels)?;
@@ -220,7 +220,7 @@ pub(crate) fn combine_estimates(scene: &System, channels: &[(&ModalFitter, Combi
         normal_likelihood(fitter, own.clone(), number, (first, &reference.coefficients_nm))
     });
     let likelihoods = each.collect::<Result<Vec<_>>>()?;
-    let sigma = scene.estimate.diversity_error;
+    let sigma = scene.tolerance.defocus_fraction;
     let found = Normal::new(&likelihoods, sigma > 0.0, if sigma > 0.0 { sigma.powi(-2) } else { 0.0 })?;
     let modes = first.model.optics.modes();
     let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
@@ -282,7 +282,7 @@ pub(in crate::modal) fn spanned_diversity(fitter: &ModalFitter) -> Result<Array1
     let projection = fitter.diversity_projection()?;
     if projection.rms_nm > 0.0 && !projection.is_spanned() {
         return Err(Error::Scene(format!(
-            "{}: the amplitude of the diversities is unknown (estimate.fit_optics with \"defocus\", or estimate.diversity_error), which \
+            "{}: the amplitude of the diversities is unknown (estimate.fit_optics with \"defocus\", or tolerance.defocus_fraction), which \
              channels determine where the modes span every diversity: raise modes.ncpa_count or leave both out",
             fitter.scene.name()
         )));

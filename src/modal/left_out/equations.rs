@@ -15,8 +15,8 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, concatenate, s};
 use rayon::prelude::*;
 
-/// The covariance `noise_nm2` with what images scatter beyond another one of their noise. Where that
-/// leaves variances below 0, because both are not known well, only what it adds is taken.
+/// The covariance `noise_nm2` with what images scatter beyond another one of their noise. Where
+/// that leaves variances below 0, because both are not known well, only what it adds is taken.
 ///
 /// # Errors
 /// [`Error::Internal`] for values that are not finite.

@@ -78,7 +78,7 @@ impl Combiner {
     pub(super) fn new(fitters: &ChannelFitters) -> Result<Self> {
         let first = fitters.first();
         let modes = first.model.optics.modes();
-        let sigma = fitters.scene().estimate.diversity_error;
+        let sigma = fitters.scene().tolerance.defocus_fraction;
         let inverse_variance = if sigma > 0.0 { sigma.powi(-2) } else { 0.0 };
         let size = modes + usize::from(sigma > 0.0);
         let mut channels = Vec::with_capacity(fitters.len());

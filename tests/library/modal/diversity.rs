@@ -27,9 +27,9 @@ fn diversity_error_needs_a_focus_in_the_modes() {
     let focused = with(&[HELD, ("image.diversity_focus_waves_rms", "0")]).diversity_projection().unwrap();
     assert!(focused.is_too_small(image.wavelength_nm) && !focused.is_spanned(), "{focused:?}");
     let refused =
-        scene(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("estimate.diversity_error", "0.05")]);
+        scene(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("tolerance.defocus_fraction", "0.05")]);
     match ModalFitter::new(&refused, false).map(|_| ()) {
-        Err(Error::Scene(sentence)) => assert!(sentence.contains("diversity_error = 0.05"), "{sentence}"),
+        Err(Error::Scene(sentence)) => assert!(sentence.contains("defocus_fraction = 0.05"), "{sentence}"),
         other => panic!("{other:?}"),
     }
 }
@@ -37,7 +37,7 @@ fn diversity_error_needs_a_focus_in_the_modes() {
 #[test]
 fn diversity_error_is_in_the_error_bars_of_any_sequence() {
     let known = scene(&[HELD, ("image.count", "3")]);
-    let unsure = scene(&[HELD, ("image.count", "3"), ("estimate.diversity_error", "0.02")]);
+    let unsure = scene(&[HELD, ("image.count", "3"), ("tolerance.defocus_fraction", "0.02")]);
     let images_e = source_images(&known).images_e;
     let kept = |scene| {
         let estimator = Arc::new(ModalFitter::new(scene, false).unwrap());

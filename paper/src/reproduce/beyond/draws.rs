@@ -141,7 +141,7 @@ fn modal(reader: &Scene) -> Result<Scene> {
     let still = [("wavefront_sensor.shift_subapertures", "[0.0, 0.0]"), ("turbulence.wind_m_s", "[]")];
     let air = [("turbulence.wind_dir_rad", "[]"), ("turbulence.fractions", "[]"), ("turbulence.heights_m", "[]")];
     // Its modes need not hold the diversity, and its error bars are not asked for.
-    let known = [("estimate.diversity_error", "0")];
+    let known = [("tolerance.defocus_fraction", "0")];
     reader.with(&settings)?.with(&[&still[..], &air, &known].concat())
 }
 

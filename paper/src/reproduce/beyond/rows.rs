@@ -97,7 +97,7 @@ pub static BEYOND_ROWS: [BeyondRow; 39] = [
     zonal(
         "2 % defocus error, known to 2 %",
         &[],
-        &[("image.diversity_focus_waves_rms", "1.53"), ("estimate.diversity_error", "0.02")],
+        &[("image.diversity_focus_waves_rms", "1.53"), ("tolerance.defocus_fraction", "0.02")],
     ),
     same("segment tilts of 20 nm", "zonal", &[("aberrations.segment_tip_tilt_rms_nm", "20")]),
     // 75 images take 22.5 s.

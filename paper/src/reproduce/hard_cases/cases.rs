@@ -202,7 +202,7 @@ pub static HARD_CASES: [HardCase; 108] = [
     model(
         "defocus 5 % large, known to 5 %",
         &[],
-        &[("image.diversity_focus_waves_rms", "1.575"), ("estimate.diversity_error", "0.05")],
+        &[("image.diversity_focus_waves_rms", "1.575"), ("tolerance.defocus_fraction", "0.05")],
     ),
     model("plate scale 1 % small", &[], &[("image.samples_per_lambda_over_d", "1.98")]),
     model("plate scale 1 % large", &[], &[("image.samples_per_lambda_over_d", "2.02")]),
