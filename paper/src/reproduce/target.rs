@@ -3,10 +3,10 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    ChannelRow, CheckRow, FaultRow, GroupRow, HardCase, MovingRow, Options, Progress, PullRow, PyramidParts, Report,
-    WavefrontRow, artificial_source, bad_pixels, beyond, beyond_rows, channels, checks, closed_loop, diversity, faults,
-    groups, hard_cases, image_numbers, moving_star, night, observations, on_sky, one_wavefront, petals, pulls, pyramid,
-    samples,
+    ChannelRow, CheckRow, FaultRow, GroupRow, HardCase, LeftOutRow, MovingRow, Options, Progress, PullRow,
+    PyramidParts, Report, WavefrontRow, artificial_source, bad_pixels, beyond, beyond_rows, channels, checks,
+    closed_loop, diversity, faults, groups, hard_cases, image_numbers, left_out, moving_star, night, observations,
+    on_sky, one_wavefront, petals, pulls, pyramid, samples,
 };
 use cophase::pipeline::Control;
 use cophase::pipeline::Part;
@@ -50,6 +50,8 @@ pub enum Target {
     OneWavefront,
     /// Residual over error bar against brightness and number of images.
     Pulls,
+    /// What a scene leaves out, with the step that marginalises it and without.
+    LeftOut,
     /// Several images of one wavefront: pairs and colours.
     Channels,
     /// One planted fault each: is the right cause named first?
@@ -70,7 +72,7 @@ pub enum Target {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 25] = [
+    pub const ALL: [Target; 26] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -88,6 +90,7 @@ impl Target {
         Target::Groups,
         Target::OneWavefront,
         Target::Pulls,
+        Target::LeftOut,
         Target::Channels,
         Target::Checks,
         Target::Observations,
@@ -121,6 +124,7 @@ impl Target {
             Target::Groups => "groups",
             Target::OneWavefront => "one-wavefront",
             Target::Pulls => "pulls",
+            Target::LeftOut => "left-out",
             Target::Channels => "channels",
             Target::Checks => "checks",
             Target::Observations => "observations",
@@ -164,6 +168,9 @@ impl Target {
             Target::Pulls => {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
+            Target::LeftOut => {
+                "tilts, figures, camera that the scene leaves out: residual over error bar, marginalised and not"
+            }
             Target::Channels => "pairs of defocused images, two colours: residuals, error bars, whole wavelengths",
             Target::Checks => "one planted fault each: does 'cophase check' name the right cause first?",
             Target::Observations => "observations as planned: expected and measured errors of 20 random scenes",
@@ -188,7 +195,7 @@ impl Target {
     /// hour on two cores; behind a loop 3, which scatter by some 10 %, for six minutes.
     pub fn default_seeds(self) -> usize {
         match self {
-            Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
+            Target::ArtificialSource | Target::Pulls | Target::Channels | Target::LeftOut => 24,
             Target::BadPixels | Target::Groups | Target::OneWavefront => 20,
             Target::Samples | Target::HardCases | Target::Observations | Target::Checks | Target::Petals => 8,
             Target::Diversity => 6,
@@ -300,6 +307,9 @@ impl Target {
                 run.end(found, |found, to| found.report(to))
             }
             Target::Pulls => run.end(pulls(&PullRow::named(rows)?, seeds, progress)?, |found, to| found.report(to)),
+            Target::LeftOut => {
+                run.end(left_out(&LeftOutRow::named(rows)?, seeds, progress)?, |found, to| found.report(to))
+            }
             Target::Channels => {
                 run.end(channels(&ChannelRow::named(rows)?, seeds, progress)?, |found, to| found.report(to))
             }

@@ -11,6 +11,7 @@ mod desk;
 mod faults;
 mod groups;
 mod leak;
+mod left_out;
 mod metrics;
 mod moving_star;
 mod night_table;
