@@ -21,10 +21,11 @@
 //! | `starts` | fits from several starts, and which minima there are |
 //! | `consistency` | whether the images are of one wavefront |
 //! | `posterior` | what the modes leave out, marginalised |
-//! | `sequence` | groups that have a wavefront each, and their mean |
+//! | `sequence`, `mean` | groups that have a wavefront each, and the mean of these |
 
 mod consistency;
 mod fit;
+mod mean;
 mod member;
 mod posterior;
 mod prior;

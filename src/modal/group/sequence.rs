@@ -1,321 +1,62 @@
 //! Sequences of groups: each group has a wavefront of its own, and the estimate is their mean.
-//!
-//! With x_g the modes at the minimum of group g, s_g and I_g −½ of the gradient of its χ² and the
-//! Gauss-Newton matrix by the modes and by what they leave out, tips and tilts of its images
-//! eliminated, the normal equations of all are
-//!
-//! ```text
-//! Σ_g I_g/a_g  z = Σ_g (s_g + I_g x_g)/a_g        a_g: by how much its variances exceed those of the noise
-//! ```
-//!
-//! and where they are of several wavefronts Σ I_g z = Σ (s_g + I_g x̄), x̄ the mean of all x_g.
-//! The prior of the modes is learnt from them once more, and what the modes leave out is common to
-//! all groups. What the groups scatter beyond their noise is added to the error bars, by the rules
-//! of single images ([`crate::modal::combine`]).
 
 use crate::control::{Control, Stage};
-use crate::modal::assess::fisher::{null_floor, pseudo_inverse, score_without, without};
-use crate::modal::combine::agreement::{Agreement, TestedImages, Verdict, Whitening};
-use crate::modal::combine::combined_modes::CombinedModes;
-use crate::modal::combine::joint::{JointEstimate, check_same_modes};
-use crate::modal::combine::pistons;
-use crate::modal::combine::sequence::{SEQUENCE, scatter};
-use crate::modal::combine::single_image::{centre, covariance_with_scatter};
-use crate::modal::combine::static_maps::StaticMaps;
+use crate::modal::combine::joint::check_same_modes;
 use crate::modal::fitter::ModalFitter;
-use crate::modal::group::fit::{Group, Trial};
-use crate::modal::group::posterior::{GroupEquations, GroupPosterior, LeftOutOfChannels};
-use crate::modal::group::prior::Prior;
+use crate::modal::group::mean::{FittedGroup, Mean, mean_of};
+use crate::modal::group::posterior::{GroupPosterior, LeftOutOfChannels};
 use crate::modal::group::{GroupChannel, GroupEstimate, GroupSequence, Minima, Search, Solution, of_channels};
-use crate::modal::left_out::{Equations, Step, WithLeftOut, priors};
-use crate::modal::solve::engine::{FitState, reason_of_none};
-use crate::scene::{Combine, System};
+use crate::modal::prepare::PreparedFrame;
+use crate::modal::solve::engine::{FitState, ImageFit, reason_of_none};
+use crate::modal::solve::minimum::Minimum;
+use crate::scene::System;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, Axis, s};
+use rayon::prelude::*;
 use std::time::Instant;
 
-/// What one group of a sequence says.
-struct FittedGroup {
-    /// x.
-    coefficients_nm: Array1<f64>,
-    /// I, by the modes and what they leave out.
-    information: Array2<f64>,
-    /// s.
-    score: Array1<f64>,
-    /// The same for a relative error 1 of the amplitude of all diversities, where nothing is left
-    /// out.
-    effect: Array1<f64>,
-    /// a.
-    inflation: f64,
-    prior: Prior,
-    pixels: usize,
+/// What the groups of a sequence are fitted with.
+struct Task<'a> {
+    scene: &'a System,
+    fitters: &'a [ModalFitter],
+    fits: &'a [Vec<ImageFit>],
+    left_out: Option<&'a LeftOutOfChannels>,
+    control: &'a Control,
 }
 
-impl FittedGroup {
-    /// The group at `best`, whose images have the Gauss-Newton matrices `each`; with what the modes
-    /// leave out where `equations` have it.
-    ///
-    /// # Errors
-    /// Those of the inverse of a matrix that is not finite.
-    fn new(
-        (group, best): (&Group, &Trial),
-        each: &[Array2<f64>],
-        equations: Option<&GroupEquations>,
-        inflation: f64,
-        fitter: &ModalFitter,
-    ) -> Result<Self> {
-        let (modes, fitted) = (group.unknowns.shared(), group.unknowns.count());
-        let (information, score) = match equations {
-            Some(equations) => (equations.information.clone(), equations.score.clone()),
-            None => (group.sum_of(each), group.score()),
-        };
-        let mut effect = Array1::zeros(score.len());
-        effect.slice_mut(s![..fitted]).assign(&group.effect_of_diversities(each)?);
-        let kept: Vec<usize> = (0..modes).chain(fitted..score.len()).collect();
-        let own: Vec<usize> = (modes..fitted).collect();
-        let block = |rows: &[usize], columns: &[usize]| information.select(Axis(0), rows).select(Axis(1), columns);
-        // Tip and tilt of each image but the first, which are well known.
-        let along = match own.is_empty() {
-            true => Array2::zeros((kept.len(), 0)),
-            false => {
-                let floor = null_floor(own.len(), group.pixels());
-                block(&kept, &own).dot(&pseudo_inverse(&block(&own, &own), floor)?)
-            }
-        };
-        let left = block(&kept, &kept) - along.dot(&block(&own, &kept));
-        // Those of the first are among the modes.
-        let mut tilts = Array2::zeros((group.unknowns.tilts().nrows(), kept.len()));
-        tilts.slice_mut(s![.., ..modes]).assign(&group.unknowns.tilts());
-        let [score, effect] = [score, effect].map(|slope| {
-            let left_slope = slope.select(Axis(0), &kept) - along.dot(&slope.select(Axis(0), &own));
-            score_without(&left, left_slope, &tilts)
-        });
-        let mut coefficients_nm = best.point[..modes].to_vec();
-        fitter.motions.remove(&mut coefficients_nm);
-        Ok(Self {
-            coefficients_nm: coefficients_nm.into(),
-            information: without(left, &tilts),
-            score,
-            effect: effect.slice(s![..modes]).to_owned(),
-            inflation,
-            prior: best.prior.clone(),
-            pixels: group.pixels(),
-        })
+/// The fit of one group.
+struct GroupFit {
+    group: FittedGroup,
+    minima: Minima,
+    is_explained: bool,
+    /// Its images: channel and number, with the weights and the minimum of the fit.
+    images: Vec<([usize; 2], PreparedFrame, Minimum)>,
+}
+
+impl Task<'_> {
+    /// Whether all images of a group can be used.
+    fn is_whole(&self, places: &[[usize; 2]]) -> bool {
+        places.iter().all(|&[channel, image]| self.fits[channel][image].state == FitState::NotBegun)
     }
 
-    /// Its modes with `prior`, and their covariance from the noise of its images, nm².
-    fn with(&self, prior: &Prior, fitter: &ModalFitter) -> Result<(Array1<f64>, Array2<f64>)> {
-        let (modes, at) = (self.coefficients_nm.len(), &self.coefficients_nm);
-        let own = &self.information.slice(s![..modes, ..modes]) / self.inflation;
-        let precision = prior.precision(modes);
-        let inverse = pseudo_inverse(&(&own + &precision), null_floor(modes, self.pixels))?;
-        let slope = &self.score.slice(s![..modes]) / self.inflation - precision.dot(at);
-        let mut coefficients_nm = (at + &inverse.dot(&slope)).to_vec();
-        fitter.motions.remove(&mut coefficients_nm);
-        Ok((coefficients_nm.into(), fitter.motions.removed_from(&inverse.dot(&own).dot(&inverse))))
-    }
-}
-
-/// The groups of a sequence and their mean.
-struct Mean {
-    joint: JointEstimate,
-    /// Whether the groups are of one wavefront.
-    agreement: Agreement,
-    /// Those whose mean it is.
-    used: Vec<usize>,
-}
-
-/// Normal equations of several groups about a point.
-struct Sum {
-    at: Array1<f64>,
-    information: Array2<f64>,
-    score: Array1<f64>,
-    effect: Array1<f64>,
-    /// Prior of the modes with the levels that these say.
-    prior: Prior,
-    floor: f64,
-}
-
-impl Sum {
-    /// Those of the groups `used`, which are at `rows_nm`, about the mean of these; each with its
-    /// weight where `has_weights`.
-    ///
-    /// # Errors
-    /// Those of [`Prior::learn`].
-    fn new(
-        groups: &[FittedGroup],
-        (used, rows_nm): (&[usize], &Array2<f64>),
-        has_weights: bool,
-        fitter: &ModalFitter,
-    ) -> Result<Self> {
-        let (count, modes) = (groups[0].score.len(), rows_nm.ncols());
-        let used_nm = rows_nm.select(Axis(0), used);
-        let at = Array1::from(centre(&fitter.motions, &used_nm, Combine::Mean));
-        let mean_inflation = used.iter().map(|&place| groups[place].inflation).sum::<f64>() / used.len() as f64;
-        let (mut information, mut score) = (Array2::zeros((count, count)), Array1::zeros(count));
-        let mut effect = Array1::zeros(modes);
-        for (&place, row_nm) in used.iter().zip(used_nm.outer_iter()) {
-            let group = &groups[place];
-            let weight = if has_weights { group.inflation } else { mean_inflation }.recip();
-            information.scaled_add(weight, &group.information);
-            score.scaled_add(weight, &group.score);
-            if has_weights {
-                score.scaled_add(weight, &group.information.slice(s![.., ..modes]).dot(&(&row_nm - &at)));
-            }
-            effect.scaled_add(weight, &group.effect);
+    /// Fits the group with the images `places`.
+    fn fit(&self, places: &[[usize; 2]], how: (Option<&[f64]>, Search)) -> Result<GroupFit> {
+        let (fitters, own) = (self.fitters, self.fitters.iter().collect::<Vec<_>>());
+        let is_of_group = |place| places.contains(&place);
+        let mut found = Solution::new(self.scene, &own, self.fits, is_of_group, how, self.control)?;
+        let of_group = (&found.group, &found.best, &found.normal.each[..]);
+        let posterior = self.left_out.map(|of| GroupPosterior::new(of_group, fitters, of)).transpose()?;
+        if let Some(posterior) = &posterior {
+            found.explain(&posterior.left_out.explained_chi2);
         }
-        let own = information.slice(s![..modes, ..modes]).to_owned();
-        let mut prior = groups[used[0]].prior.clone();
-        prior.learn(&own, &(own.dot(&at) + score.slice(s![..modes])))?;
-        let floor = null_floor(count, groups.iter().map(|group| group.pixels).sum());
-        Ok(Self { at, information, score, effect, prior, floor })
+        let inflation = posterior.as_ref().map_or(found.normal.inflation, |posterior| posterior.inflation);
+        let equations = posterior.as_ref().map(|posterior| &posterior.equations);
+        let of_group = (&found.group, &found.best);
+        let group = FittedGroup::new(of_group, &found.normal.each, equations, inflation, &fitters[0])?;
+        self.control.step(1);
+        let members = found.group.members.iter().zip(&found.best.minima);
+        let images = members.map(|(member, minimum)| (member.place, member.image.clone(), minimum.clone())).collect();
+        Ok(GroupFit { group, minima: found.minima, is_explained: found.is_explained(), images })
     }
-
-    /// Covariance of the modes, if nothing is left out.
-    ///
-    /// # Errors
-    /// [`Error::Value`] where no mode changes the images.
-    fn covariance_nm2(&self) -> Result<Array2<f64>> {
-        let modes = self.at.len();
-        let own = &self.information.slice(s![..modes, ..modes]) + &self.prior.precision(modes);
-        pseudo_inverse(&own, self.floor)
-    }
-
-    /// The estimate, whose covariance has `scatter_nm2` beyond the noise.
-    ///
-    /// # Errors
-    /// Those of [`Step::new`]; [`Error::Value`] where no mode changes the images.
-    fn estimate(
-        &self,
-        scatter_nm2: &Array2<f64>,
-        fitter: &ModalFitter,
-        left_out: Option<&LeftOutOfChannels>,
-    ) -> Result<JointEstimate> {
-        let (count, noise_nm2) = (self.at.len(), self.covariance_nm2()?);
-        let with = |change: &Array1<f64>, covariance_nm2: &Array2<f64>| {
-            let mut coefficients_nm = (&self.at + change).to_vec();
-            fitter.motions.remove(&mut coefficients_nm);
-            let covariance_nm2 = fitter.motions.removed_from(covariance_nm2) + scatter_nm2;
-            CombinedModes { coefficients_nm, covariance_nm2 }
-        };
-        let (modes, left_out) = match left_out {
-            Some(of_channels) => {
-                let (step, first) = (self.step(of_channels)?, &of_channels.each[0]);
-                let modes = with(&step.change, &(&step.noise + &step.added));
-                let found = WithLeftOut::new((first, &fitter.motions), &of_channels.groups, &step, modes.clone(), 1.0);
-                (modes, Some(found))
-            }
-            None => {
-                let slope = &self.score - &self.prior.precision(count).dot(&self.at);
-                (with(&noise_nm2.dot(&slope), &noise_nm2), None)
-            }
-        };
-        let own_maps =
-            || [StaticMaps::of_modes(&fitter.model, &modes), StaticMaps::of_error_bars(&fitter.model, &modes)];
-        let [maps, sigma_maps] = left_out.as_ref().map_or_else(own_maps, |left_out| left_out.whole.maps(&fitter.model));
-        Ok(JointEstimate {
-            maps,
-            sigma_maps,
-            modes,
-            defocus: None,
-            left_out,
-            integers: Vec::new(),
-            diversity_effect_nm: Some(noise_nm2.dot(&self.effect)),
-            disagreement: (1.0, 0.0),
-            channels_nm: Vec::new(),
-        })
-    }
-
-    /// The step that marginalises what is left out.
-    ///
-    /// # Errors
-    /// Those of [`Step::new`].
-    fn step(&self, left_out: &LeftOutOfChannels) -> Result<Step> {
-        let tilts = left_out.each[0].tilts();
-        let equations = Equations {
-            information: &self.information,
-            score: &self.score,
-            fitted: &self.at,
-            tilts: tilts.clone(),
-            precision: Some(self.prior.precision_but(self.at.len(), tilts)),
-            floor: self.floor,
-        };
-        Step::new(&equations, &priors(&left_out.groups))
-    }
-}
-
-/// The mean of `groups`, without outliers where the scene says so; what they leave out is
-/// `left_out`.
-///
-/// # Errors
-/// Those of [`Step::new`]; [`Error::Value`] where no mode changes the images.
-fn mean_of(groups: &[FittedGroup], fitter: &ModalFitter, left_out: Option<&LeftOutOfChannels>) -> Result<Mean> {
-    let modes = fitter.model.optics.modes();
-    let rows = groups.iter().map(|group| {
-        let mut row_nm = group.coefficients_nm.to_vec();
-        pistons::wrap_if_monochromatic(&mut row_nm, &groups[0].coefficients_nm.to_vec(), &fitter.model);
-        fitter.motions.remove(&mut row_nm);
-        row_nm
-    });
-    let rows: Vec<Vec<f64>> = rows.collect();
-    let mut rows_nm = Array2::from_shape_fn((groups.len(), modes), |(group, mode)| rows[group][mode]);
-    let mut used: Vec<usize> = (0..groups.len()).collect();
-    // By one prior: the levels that a group finds are noise, too.
-    let prior = Sum::new(groups, (&used, &rows_nm), true, fitter)?.prior;
-    let (mut fitted_nm, mut noise_nm2) = (rows_nm.clone(), Vec::new());
-    for (group, (mut fitted_nm, row_nm)) in groups.iter().zip(fitted_nm.outer_iter_mut().zip(rows_nm.outer_iter())) {
-        let (own_nm, own_noise_nm2) = group.with(&prior, fitter)?;
-        fitted_nm.assign(&(&row_nm + &own_nm - &group.coefficients_nm));
-        noise_nm2.push(own_noise_nm2);
-    }
-    let mean_noise_nm2 = |used: &[usize]| {
-        let sum_nm2 = used.iter().fold(Array2::zeros((modes, modes)), |sum, &place| sum + &noise_nm2[place]);
-        sum_nm2 / used.len() as f64
-    };
-    let mut agreement = Agreement::untested();
-    if groups.len() > 1 {
-        let whitening = Whitening::new(fitter, &mean_noise_nm2(&used))?;
-        let variances = noise_nm2.iter().map(|noise_nm2| whitening.variance(noise_nm2)).collect();
-        let tested = TestedImages::new(fitter, &whitening, fitted_nm.clone(), variances);
-        agreement = tested.agreement(&whitening);
-        // Whole wavelengths.
-        rows_nm += &(&tested.coefficients_nm - &fitted_nm);
-        fitted_nm = tested.coefficients_nm;
-        if let (Verdict::Outliers(outliers), Combine::ClippedMean) = (&agreement.verdict, fitter.recipe.combine) {
-            used.retain(|group| !outliers.contains(group));
-        }
-    }
-    let is_clipped = used.len() < groups.len();
-    // Groups of one wavefront count by what they know. Of several, each of which knows another part
-    // best, the mean is wanted.
-    let has_weights = is_clipped || !agreement.is_significant();
-    let sum = Sum::new(groups, (&used, &rows_nm), has_weights, fitter)?;
-    let used_nm = fitted_nm.select(Axis(0), &used);
-    let scatter_nm2 = scatter_beyond_noise((&agreement, is_clipped), &used_nm, &mean_noise_nm2(&used), fitter);
-    Ok(Mean { joint: sum.estimate(&scatter_nm2, fitter, left_out)?, agreement, used })
-}
-
-/// What the covariance of the mean of groups with the modes `used_nm` has beyond the mean of their
-/// `noise_nm2`, because they scatter more; as for single images.
-fn scatter_beyond_noise(
-    (agreement, is_clipped): (&Agreement, bool),
-    used_nm: &Array2<f64>,
-    noise_nm2: &Array2<f64>,
-    fitter: &ModalFitter,
-) -> Array2<f64> {
-    let count = used_nm.nrows();
-    if agreement.is_contradictory() {
-        // The mean of several wavefronts is as far from each of them as they are from each other.
-        return noise_nm2 * agreement.reduced_chi2;
-    }
-    let single_nm2 = if count >= SEQUENCE {
-        fitter.motions.removed_from(&scatter(used_nm, Combine::Mean, noise_nm2))
-    } else if agreement.is_significant() && !is_clipped {
-        noise_nm2 * agreement.reduced_chi2
-    } else {
-        covariance_with_scatter(noise_nm2.clone(), used_nm)
-    };
-    (single_nm2 - noise_nm2) / count as f64
 }
 
 /// Fits each of `groups`, channel and number of its images, alone, the first near `near_nm` or the
@@ -328,7 +69,7 @@ pub(crate) fn estimate_sequence(
     scene: &System,
     channels: &[GroupChannel],
     groups: &[Vec<[usize; 2]>],
-    (near_nm, search): (Option<&[f64]>, Search),
+    how: (Option<&[f64]>, Search),
     marginalise: bool,
     control: &Control,
 ) -> Result<GroupEstimate> {
@@ -336,51 +77,36 @@ pub(crate) fn estimate_sequence(
     check_same_modes(channels.iter().map(|channel| &channel.fitter))?;
     let mut fits = channels.iter().map(|channel| channel.fitter.prepared(&channel.cube)).collect::<Result<Vec<_>>>()?;
     control.enter(Stage::Fitting, groups.len());
-    let fitters: Vec<ModalFitter> = channels.iter().map(|channel| channel.fitter.clone()).collect();
-    let (own, names): (Vec<_>, Vec<_>) =
-        fitters.iter().zip(channels).map(|(fitter, channel)| (fitter, channel.name.clone())).unzip();
+    let (fitters, names): (Vec<_>, Vec<_>) =
+        channels.iter().map(|channel| (channel.fitter.clone(), channel.name.clone())).unzip();
     let left_out = marginalise.then(|| LeftOutOfChannels::new(scene, &fitters, &names, None)).transpose()?;
-    let (mut fitted, mut numbers, mut minima) = (Vec::new(), Vec::new(), Vec::<Minima>::new());
-    let (mut is_explained, mut near_nm, mut search) = (true, near_nm.map(<[f64]>::to_vec), search);
-    for (number, places) in groups.iter().enumerate() {
-        control.step(1);
-        if places.iter().any(|&[channel, image]| fits[channel][image].state != FitState::NotBegun) {
-            is_explained = false;
-            continue;
-        }
-        let how = (near_nm.as_deref(), search);
-        let mut found = Solution::new(scene, &own, &fits, |place| places.contains(&place), how, control)?;
-        let of_group = (&found.group, &found.best, &found.normal.each[..]);
-        let posterior = left_out.as_ref().map(|of| GroupPosterior::new(of_group, &fitters, of)).transpose()?;
-        if let Some(posterior) = &posterior {
-            found.explain(&posterior.left_out.explained_chi2);
-        }
-        found.group.write(&found.best, &mut fits);
-        let inflation = posterior.as_ref().map_or(found.normal.inflation, |posterior| posterior.inflation);
-        let equations = posterior.as_ref().map(|posterior| &posterior.equations);
-        let of_group = (&found.group, &found.best);
-        let group = FittedGroup::new(of_group, &found.normal.each, equations, inflation, &fitters[0])?;
-        is_explained &= found.is_explained();
-        // Wavefronts of one telescope are alike.
-        near_nm.get_or_insert_with(|| group.coefficients_nm.to_vec());
-        search = Search::IfNeeded;
-        minima.push(found.minima);
-        numbers.push(number);
-        fitted.push(group);
-    }
-    let Some(first) = minima.first().copied() else {
+    let task = Task { scene, fitters: &fitters, fits: &fits, left_out: left_out.as_ref(), control };
+    let numbers: Vec<usize> = (0..groups.len()).filter(|&group| task.is_whole(&groups[group])).collect();
+    let Some((&first, others)) = numbers.split_first() else {
         let reason = reason_of_none(fits.iter().flatten());
         return Err(Error::Image(format!(
             "each of {} groups has an image that cannot be used: {reason}",
             groups.len()
         )));
     };
+    let first = task.fit(&groups[first], how)?;
+    // Wavefronts of one telescope are alike.
+    let near_nm = first.group.coefficients_nm.to_vec();
+    let others = others.par_iter().map(|&group| task.fit(&groups[group], (Some(&near_nm), Search::IfNeeded)));
+    let mut found = vec![first];
+    found.extend(others.collect::<Result<Vec<_>>>()?);
+    for (place, prepared, minimum) in found.iter_mut().flat_map(|group| group.images.drain(..)) {
+        let fit = &mut fits[place[0]][place[1]];
+        (fit.prepared, fit.minimum, fit.state) = (prepared, minimum, FitState::Fitted);
+    }
     control.enter(Stage::Combining, 0);
-    let Mean { joint, agreement, used } = mean_of(&fitted, &fitters[0], left_out.as_ref())?;
+    let is_explained = found.iter().all(|group| group.is_explained) && numbers.len() == groups.len();
     let minima = Minima {
-        has_twin: minima.iter().any(|one| one.has_twin),
-        ..minima.into_iter().find(|one| one.is_suspicious).unwrap_or(first)
+        has_twin: found.iter().any(|group| group.minima.has_twin),
+        ..found.iter().find(|group| group.minima.is_suspicious).unwrap_or(&found[0]).minima
     };
+    let fitted: Vec<FittedGroup> = found.into_iter().map(|found| found.group).collect();
+    let Mean { joint, agreement, used } = mean_of(&fitted, &fitters[0], left_out.as_ref())?;
     Ok(GroupEstimate {
         joint,
         channels: of_channels(fitters, fits, started)?,
