@@ -140,7 +140,13 @@ pub(crate) fn estimate_group(
         let mut alone = Group::new(&own, &fits, |other| other == place, sigma);
         // An image that cannot be used has its reason already.
         let Ok(alone) = &mut alone else { continue };
-        let compared = alone.fit(&found.best.point[..unknowns.shared()], Freedom::Tilts, &control.silent())?;
+        let mut compared = alone.fit(&found.best.point[..unknowns.shared()], Freedom::Tilts, &control.silent())?;
+        if let (Some(posterior), Some(left_out)) = (&posterior, &left_out) {
+            let (fitter, image) = ((place[0], &fitters[place[0]]), (&alone.members[0].image, &compared.minima[0]));
+            let explained = posterior.explained(&found.group, fitter, image, left_out)?;
+            let chi2 = &mut compared.minima[0].chi2;
+            chi2.value -= explained / chi2.freedom;
+        }
         alone.write(&compared, &mut fits);
     }
     let mut joint = found.joint(&fitters)?;

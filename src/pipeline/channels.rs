@@ -9,6 +9,7 @@ use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::{Extension, Selected};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
+use super::remarks::{ON_DIVERSITY, common_orientation_remark, is_on_orientation};
 use super::warnings::{contradiction_warning, integers_warning, left_out_warnings};
 use crate::control::{Control, Stage};
 use crate::modal::{FitSeries, JointEstimate, ModelCache, Status, WithLeftOut, joint};
@@ -317,22 +318,26 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
     sentences
 }
 
-/// Remarks of the channels, each once; that on the diversity is of all channels together.
+/// Remarks of the channels, each once; those on the diversity and the orientation are of all
+/// channels together.
 fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
     let mut sentences: Vec<String> = of_step(found, each).map(super::remarks::left_out_remarks).unwrap_or_default();
     for sentence in each.iter().flat_map(|one| &one.remarks) {
-        if !sentences.contains(sentence) && !sentence.starts_with(super::remarks::ON_DIVERSITY) {
+        let is_of_all = sentence.starts_with(ON_DIVERSITY) || is_on_orientation(sentence);
+        if !is_of_all && !sentences.contains(sentence) {
             sentences.push(sentence.clone());
         }
     }
+    let on_orientation = |one: &Estimate| one.remarks.iter().find(|remark| is_on_orientation(remark)).cloned();
+    let orientations: Vec<Option<String>> = each.iter().map(on_orientation).collect();
+    sentences.extend(common_orientation_remark(&orientations.iter().map(Option::as_deref).collect::<Vec<_>>()));
     if let Some(effect_nm) = &found.diversity_effect_nm {
         let column: Array1<f64> = effect_nm * 0.01;
         let column = column.insert_axis(Axis(1));
         let nm = errors.rms_nm(&column.dot(&column.t()))?[1];
         sentences.push(format!(
-            "{} An error of 1 % of all of them changes the NCPA by {nm:.2} nm (estimate.fit_optics = [\"defocus\"] fits their \
-             amplitude where the channels determine it).",
-            super::remarks::ON_DIVERSITY
+            "{ON_DIVERSITY} An error of 1 % of all of them changes the NCPA by {nm:.2} nm (estimate.fit_optics = [\"defocus\"] fits their \
+             amplitude where the channels determine it)."
         ));
     }
     Ok(sentences)

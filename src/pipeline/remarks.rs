@@ -103,22 +103,48 @@ pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result
     // and the wavefront −W(−x, −y).
     let has_diversity = map.is_some() || scene.image.diversity_focus_waves_rms != 0.0;
     let sign = match (has_diversity, is_turned_equal) {
-        (false, _) => "",
-        (true, true) => " Nor can the sign of the diversity: with the opposite one the maps are −W(−x, −y).",
-        (true, false) => {
-            " Images turned by 180° would fit with the opposite diversity, and the maps −W(x, y): the sign of the maps is that of the \
-             scene's orientation and diversity together."
-        }
+        (false, _) => None,
+        (true, true) => Some("Nor can the sign of the diversity: with the opposite one the maps are −W(−x, −y)"),
+        (true, false) => Some(TURNED),
     };
-    const POKE: &str = "'cophase check --before' finds it from a known poke of a segment or an actuator";
-    Ok(if is_turned_equal || is_flipped_equal {
-        Some(format!(
-            "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \
-             ({POKE}; image.flip_x and image.flip_y set it).{sign}"
-        ))
-    } else {
-        Some(format!("{} ({POKE}).", sign.trim().trim_end_matches('.'))).filter(|_| !sign.is_empty())
+    Ok(match (is_turned_equal || is_flipped_equal, sign) {
+        (true, Some(sign)) => Some(format!("{} {sign}.", flipped())),
+        (true, None) => Some(flipped()),
+        (false, sign) => sign.map(|sign| format!("{sign} ({POKE}).")),
     })
+}
+
+/// Where an unknown orientation is found.
+const POKE: &str = "'cophase check --before' finds it from a known poke of a segment or an actuator";
+/// Beginning of the sentence that no image of one star shows a flip.
+const FLIPPED: &str = "The orientation cannot be verified from these images";
+/// What holds for every image of a star.
+const TURNED: &str = "Images turned by 180° would fit with the opposite diversity, and the maps −W(x, y): the sign of the maps is that of \
+     the scene's orientation and diversity together";
+
+fn flipped() -> String {
+    format!(
+        "{FLIPPED}: flipped ones would fit as well, with maps that are flipped ({POKE}; image.flip_x and image.flip_y set it)."
+    )
+}
+
+/// Whether a remark is an [`orientation_remark`].
+pub(super) fn is_on_orientation(remark: &str) -> bool {
+    remark.starts_with(FLIPPED) || remark.starts_with(TURNED)
+}
+
+/// The [`orientation_remark`] of images of several channels, from those of each: together they show
+/// what one of them shows.
+pub(super) fn common_orientation_remark(each: &[Option<&str>]) -> Option<String> {
+    let is_flipped = |remark: &Option<&str>| remark.is_some_and(|remark| remark.starts_with(FLIPPED));
+    let first = each.first()?;
+    if each.iter().all(|remark| remark == first) {
+        return first.map(str::to_owned);
+    }
+    if each.iter().all(is_flipped) {
+        return Some(format!("{} {TURNED}.", flipped()));
+    }
+    Some(format!("{TURNED} ({POKE})."))
 }
 
 /// Remark on images without telemetry, whose slopes (`[image, slope]`) are NaN.

@@ -3,15 +3,18 @@
 //! the camera where all channels have one scale and wavelength; otherwise each channel has its own.
 
 use crate::Result;
-use crate::modal::assess::fisher::null_floor;
+use crate::modal::assess::fisher::{null_floor, pseudo_inverse};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::JointEstimate;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::consistency::{Consistency, consistency};
 use crate::modal::group::fit::{Group, Trial};
+use crate::modal::group::unknowns::Unknowns;
 use crate::modal::left_out::{
     Equations, Group as LeftOutGroup, LeftOut, SAME, Step, WithLeftOut, has_one_camera, last_zernike, priors,
 };
+use crate::modal::prepare::PreparedFrame;
+use crate::modal::solve::minimum::Minimum;
 use crate::scene::System;
 use ndarray::{Array1, Array2, ArrayView1, s};
 
@@ -38,6 +41,25 @@ impl LeftOutOfChannels {
         let groups = each[0].groups_of(if has_one_camera { &[] } else { names });
         Ok(Self { each, groups, has_one_camera })
     }
+
+    /// Places among all unknowns of those that an image of `channel` shares with others, where
+    /// `unknowns` are those of the fit.
+    fn places(&self, unknowns: &Unknowns, channel: usize) -> Vec<usize> {
+        let (fitted, shared, own) = (unknowns.count(), unknowns.shared(), self.each[0].of_camera());
+        let camera = if self.has_one_camera { 0 } else { channel };
+        let behind = |unknown: usize| {
+            let of_camera = if unknown < own.start { 0 } else { camera * own.len() };
+            if unknown < shared { unknown } else { fitted + unknown - shared + of_camera }
+        };
+        (0..own.end).map(behind).collect()
+    }
+
+    /// Number of all unknowns.
+    fn count(&self, unknowns: &Unknowns) -> usize {
+        let own = self.each[0].of_camera();
+        let cameras = if self.has_one_camera { 1 } else { self.each.len() };
+        unknowns.count() + own.start - unknowns.shared() + own.len() * cameras
+    }
 }
 
 /// The modes of a group with what they leave out.
@@ -47,6 +69,8 @@ pub(super) struct GroupPosterior {
     pub(super) equations: GroupEquations,
     /// By how much the variances of the images are larger than those of their noise.
     pub(super) inflation: f64,
+    /// Change of the unknowns of the fit, and of those that it left out.
+    change: [Array1<f64>; 2],
     /// Change of the amplitude of the diversities and its error bar, relative; `None` where it is
     /// known.
     amplitude: Option<[f64; 2]>,
@@ -81,26 +105,16 @@ impl GroupEquations {
     ///
     /// # Errors
     /// Those of [`LeftOut::normal_equations`].
-    fn new(
-        (group, best): (&Group, &Trial),
-        fitters: &[ModalFitter],
-        LeftOutOfChannels { each, has_one_camera, .. }: &LeftOutOfChannels,
-    ) -> Result<Self> {
-        let (fitted, shared, own) = (group.unknowns.count(), group.unknowns.shared(), each[0].of_camera());
-        let cameras = if *has_one_camera { 1 } else { each.len() };
-        let all = fitted + own.start - shared + own.len() * cameras;
+    fn new((group, best): (&Group, &Trial), fitters: &[ModalFitter], of_channels: &LeftOutOfChannels) -> Result<Self> {
+        let all = of_channels.count(&group.unknowns);
         let place = |image: usize, channel: usize| {
-            let camera = if *has_one_camera { 0 } else { channel };
-            let behind = |unknown: usize| {
-                let of_camera = if unknown < own.start { 0 } else { camera * own.len() };
-                if unknown < shared { unknown } else { fitted + unknown - shared + of_camera }
-            };
-            Place { shared: (0..own.end).map(behind).collect(), tilts: group.unknowns.first_tilt(image) }
+            let shared = of_channels.places(&group.unknowns, channel);
+            Place { shared, tilts: group.unknowns.first_tilt(image) }
         };
         let tilts = group.unknowns.tilts();
         let (mut information, mut score) = (Array2::zeros((all, all)), Array1::zeros(all));
         let mut images = Vec::new();
-        for (channel, (fitter, left_out)) in fitters.iter().zip(each).enumerate() {
+        for (channel, (fitter, left_out)) in fitters.iter().zip(&of_channels.each).enumerate() {
             let members = group.members.iter().enumerate().zip(&best.minima);
             let own: Vec<_> = members.filter(|((_, member), _)| member.place[0] == channel).collect();
             if own.is_empty() {
@@ -199,9 +213,40 @@ impl GroupPosterior {
             let combined = CombinedModes { coefficients_nm, covariance_nm2: own(&step.noise) + own(&step.added) };
             let left_out = WithLeftOut::new((left_out, &fitter.motions), groups, &step, combined, 1.0);
             let left_out = WithLeftOut { explained_chi2, ..left_out };
-            return Ok(Self { left_out, consistency, equations: all, inflation, amplitude });
+            let behind = step.with_prior_change.slice(s![of_channels.each[0].tilts().len()..]).to_owned();
+            let change = [step.change, behind];
+            return Ok(Self { left_out, consistency, equations: all, inflation, change, amplitude });
         }
         unreachable!("the second step is the last")
+    }
+
+    /// χ² of an image of `channel` that was not fitted, which what was left out of the images of
+    /// `group` explains: with tip and tilt that follow.
+    ///
+    /// # Errors
+    /// Those of [`LeftOut::normal_equations`].
+    pub(super) fn explained(
+        &self,
+        group: &Group,
+        (channel, fitter): (usize, &ModalFitter),
+        (prepared, minimum): (&PreparedFrame, &Minimum),
+        of_channels: &LeftOutOfChannels,
+    ) -> Result<f64> {
+        let (fitted, shared) = (group.unknowns.count(), group.unknowns.shared());
+        let found = of_channels.each[channel].normal_equations(&fitter.model, &[(prepared, minimum)])?;
+        let information = found.information * minimum.chi2.square_snr;
+        let score = found.images.into_iter().next().unwrap_or_default();
+        let [own, behind] = &self.change;
+        let places = of_channels.places(&group.unknowns, channel);
+        let of = |&place: &usize| place.checked_sub(fitted).map_or_else(|| own[place], |place| behind[place]);
+        let mut change: Array1<f64> = places.iter().map(of).collect();
+        let mut tilts = Array2::zeros((group.unknowns.tilts().nrows(), change.len()));
+        tilts.slice_mut(s![.., ..shared]).assign(&group.unknowns.tilts());
+        let along = tilts.dot(&information);
+        let slope = tilts.dot(&score) - along.dot(&change);
+        let inverse = pseudo_inverse(&along.dot(&tilts.t()), null_floor(tilts.nrows(), group.pixels()))?;
+        change += &tilts.t().dot(&inverse.dot(&slope));
+        Ok(change.dot(&(score * 2.0 - information.dot(&change))))
     }
 
     /// Puts what was found in place of that of the fit.
