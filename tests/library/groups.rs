@@ -62,7 +62,7 @@ fn images_in_focus_with_known_shapes_determine_the_wavefront() {
     assert!(found.warnings.is_empty() && found.images.len() == 5, "{:?}", found.warnings);
     assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));
     assert!(found.figures.wavefront.sigma_nm < 20.0, "{}", found.figures.wavefront.sigma_nm);
-    // An image behind shapes that are neither even nor odd shows a flip of all; none shows the sign.
+    // Images behind shapes that are neither even nor odd show a flip; none shows the sign.
     let orientation: Vec<_> = found.remarks.iter().filter(|remark| remark.contains("check --before")).collect();
     assert!(orientation.len() == 1 && orientation[0].starts_with("Images turned by 180°"), "{:?}", found.remarks);
 }
