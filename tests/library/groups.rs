@@ -231,6 +231,18 @@ fn shapes_that_are_all_odd_or_all_even_leave_a_twin() {
 }
 
 #[test]
+fn a_tolerance_of_the_defocus_leaves_no_twin() {
+    let channels =
+        "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -0.2\n";
+    let settings = [("image.diversity_focus_waves_rms", "0.2"), ("tolerance.defocus_fraction", "0.01")];
+    let text = scene(&settings).text().replacen("[modes]", &format!("{channels}[modes]"), 1);
+    let pair = Scene::from_text(&text, Path::new("")).unwrap();
+    let found = Estimator::new(&pair).unwrap().estimate(&Images::simulated(&pair).unwrap()).unwrap();
+    // The turned wavefront needs defocuses of the other sign.
+    assert!(found.warnings.is_empty() && (0.6..1.6).contains(&pull(&found)), "{} {:?}", pull(&found), found.warnings);
+}
+
+#[test]
 fn what_a_group_does_not_take_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let usual = in_focus(folder.path(), &[]);

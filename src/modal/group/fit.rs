@@ -68,7 +68,7 @@ pub(super) struct Trial {
     pub(super) minima: Vec<Minimum>,
     /// Prior of the modes with the last levels.
     pub(super) prior: Prior,
-    /// The squares of the modes in units of the prior before the images said more.
+    /// The squares of the unknowns in units of the prior before the images said more.
     penalty: f64,
     /// Gauss-Newton matrix of each image within an error bar of the point, with weights of the
     /// model; `None` where that of the fit is of another point or of other weights.
@@ -156,6 +156,11 @@ impl<'a> Group<'a> {
         }
         let amplitude_nm = amplitude_nm.unwrap_or(f64::INFINITY);
         Ok(Self { members, unknowns, prior, unit_nm, amplitude_nm, step_weights: step_weights.into() })
+    }
+
+    /// Whether the sign of the diversities is not known.
+    pub(super) fn has_unknown_sign(&self) -> bool {
+        self.unknowns.amplitude().is_some() && self.amplitude_nm >= self.unit_nm
     }
 
     /// Unit of the amplitude, nm.
@@ -331,7 +336,7 @@ impl<'a> Group<'a> {
         let minima = self.for_each(&point, |member, coefficients| member.minimum(coefficients, size));
         let minima = minima.into_iter().map(|minimum| Minimum { evaluations, reason, ..minimum }).collect();
         let at = ArrayView1::from(&point);
-        let penalty = at.dot(&self.prior.precision(count).dot(&at));
+        let penalty = at.dot(&self.precision(&self.prior, 0..0).dot(&at));
         let is_known = has_model_weights && is_near(&at.to_owned(), &informed_at, &information);
         Ok(Trial { minima, prior, penalty, each: is_known.then_some(each), point })
     }

@@ -95,7 +95,7 @@ pub(super) fn fit_from_all(
         let is_suspicious = !is_right(&only);
         return Ok((only, Minima { starts: 1, in_best: 1, next: None, has_twin: false, is_suspicious }));
     }
-    if amplitude.is_some() && near_nm.is_none() {
+    if group.has_unknown_sign() && near_nm.is_none() {
         trials.push(group.fit(&from(&flat_nm, -1.0), Freedom::Minimum, silent)?);
     }
     let fitter = group.members[0].fitter;
@@ -118,7 +118,7 @@ pub(super) fn fit_from_all(
     let best = best_of(&trials);
     let turned = turned(&fitter.model, &trials[best].point[..modes])?;
     let own = 1.0 + trials[best].amplitude(group);
-    let signs = if amplitude.is_some() { vec![own, -own] } else { vec![own] };
+    let signs = if group.has_unknown_sign() { vec![own, -own] } else { vec![own] };
     for sign in signs {
         let mut start = from(&turned, sign);
         // Tips and tilts are the same in the turned wavefront.
