@@ -99,7 +99,8 @@ pub(super) fn refuse_full_phase(scene: &System) -> Result<()> {
 /// [`Error::Scene`].
 pub(super) fn refuse_group(scene: &System) -> Result<()> {
     match scene.estimate.group {
-        Grouping::Auto | Grouping::Each => Ok(()),
+        // A session takes one image of each channel.
+        Grouping::Auto | Grouping::Each | Grouping::Successive(1) => Ok(()),
         together => Err(Error::Scene(format!(
             "estimate.group = {} fits images together, which a model and its sessions do not do: leave it out, or give this scene to the \
              full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)",

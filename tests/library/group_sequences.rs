@@ -109,6 +109,17 @@ fn error_bars_hold_a_wavefront_that_changes_between_groups() {
 }
 
 #[test]
+fn one_image_of_one_channel_is_no_group() {
+    let usual = scene(&[("image.count", "3")]);
+    let images = simulated(&usual);
+    let [each, channels] = ["each", "channels"].map(|group| {
+        let own = usual.with(&[("estimate.group", group)]).unwrap();
+        estimate(&own, &Images { scene: None, ..images.clone() })
+    });
+    assert_eq!(each.modes.coefficients_nm, channels.modes.coefficients_nm);
+}
+
+#[test]
 fn sweeps_of_a_mirror_in_focus_are_groups() {
     let folder = tempfile::tempdir().unwrap();
     let planes = [
