@@ -8,8 +8,8 @@ use super::petals::Petals;
 use super::samples::{Samples, check_lengths};
 use super::zernike::Zernikes;
 use crate::Result;
-use crate::linear_algebra::{add_times_transposed, times};
 use crate::pupil::Pupil;
+use ndarray::linalg::general_mat_mul;
 use ndarray::parallel::prelude::*;
 use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, s};
 
@@ -138,7 +138,7 @@ impl SmoothBasis {
             }
             first += functions.count();
         }
-        let mut values = times(self.matrix.view(), raw.view());
+        let mut values = self.matrix.dot(&raw);
         values.axis_iter_mut(Axis(0)).zip(&self.offset).for_each(|(mut row, offset)| row += *offset);
         values
     }
@@ -160,7 +160,7 @@ impl SmoothBasis {
                     let values = self.block(&samples.xs_m[points.clone()], &samples.ys_m[points.clone()]);
                     let weighted = &values * &ndarray::aview1(&samples.weights[points]);
                     mean += &weighted.sum_axis(Axis(1));
-                    add_times_transposed(&mut gram, weighted.view(), values.view());
+                    general_mat_mul(1.0, &weighted, &values.t(), 1.0, &mut gram);
                 }
                 (mean, gram)
             })

@@ -20,7 +20,6 @@
 //! modes.
 
 use crate::Result;
-use crate::linear_algebra::{times, times_transposed};
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modes::{Basis, noll_orders};
 use crate::optimize::Metric;
@@ -90,7 +89,7 @@ impl Prior {
     pub(in crate::modal) fn posterior(&self, likelihood: &CombinedModes) -> Result<CombinedModes> {
         let CombinedModes { coefficients_nm, covariance_nm2 } = likelihood;
         let c = Array1::from(coefficients_nm.clone());
-        let columns = times(covariance_nm2.slice(s![.., self.modes.clone()]), self.whitening.view());
+        let columns = covariance_nm2.slice(s![.., self.modes.clone()]).dot(&self.whitening);
         let (variances, rotation) = {
             let own = self.whitening.t().dot(&columns.slice(s![self.modes.clone(), ..]));
             crate::modes::symmetric_eigen(&own)?
@@ -98,7 +97,7 @@ impl Prior {
         // In these coordinates b has the covariance diag(variances), and the prior τ²·1.
         let variances = variances.mapv(|variance| variance.max(0.0));
         let b = rotation.t().dot(&self.whitening.t().dot(&c.slice(s![self.modes.clone()])));
-        let columns = times(columns.view(), rotation.view());
+        let columns = columns.dot(&rotation);
         if b.iter().chain(&variances).all(|value| *value == 0.0) {
             // No image depends on these modes.
             return Ok(likelihood.clone());
@@ -106,10 +105,10 @@ impl Prior {
         let levels = Levels::new(&b, &variances);
         let gains = levels.mean_gains(&variances);
         let c = c - columns.dot(&(&gains * &b));
-        let less = times_transposed((&columns * &gains).view(), columns.view());
+        let less = (&columns * &gains).dot(&columns.t());
         let moved = &columns * &b;
-        let of_gains = times(moved.view(), levels.covariance_of_gains(&variances, &gains).view());
-        let covariance_nm2 = covariance_nm2 - &less + times_transposed(of_gains.view(), moved.view());
+        let covariance_nm2 =
+            covariance_nm2 - &less + moved.dot(&levels.covariance_of_gains(&variances, &gains)).dot(&moved.t());
         Ok(CombinedModes { coefficients_nm: c.to_vec(), covariance_nm2 })
     }
 }
