@@ -86,12 +86,12 @@ pub(crate) struct GroupEstimate {
 
 /// The groups of a sequence, by their numbers.
 pub(crate) struct GroupSequence {
-    /// How many there are.
-    pub(crate) count: usize,
     /// Whether the groups are of one wavefront.
     pub(crate) agreement: Agreement,
     /// Those that were fitted: all of whose images can be used.
     pub(crate) fitted: Vec<usize>,
+    /// Whether the error bars are from their scatter.
+    pub(crate) has_scatter: bool,
     /// Those of these whose mean the estimate is.
     pub(crate) used: Vec<usize>,
 }

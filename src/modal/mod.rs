@@ -51,7 +51,6 @@ pub use combine::integers::PistonInteger;
 pub(crate) use combine::integers::{ColourEstimate, are_determined, resolve_estimates};
 pub(crate) use combine::joint::{JointEstimate, combine_estimates, joint};
 pub(crate) use combine::pistons::pistons_near;
-pub(crate) use combine::sequence::SEQUENCE;
 pub use combine::static_maps::StaticMaps;
 pub use combine::{Combination, FittedImage, ModalEstimate};
 pub(crate) use estimate::ModalFit;

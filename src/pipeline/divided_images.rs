@@ -22,6 +22,8 @@ pub(super) struct DividedImages {
     pub(super) images: Vec<Images>,
     /// Number of each image of these, channel after channel, among all that were given.
     order: Vec<usize>,
+    /// Number of each image among those of its channel as it was given, for each of these channels.
+    pub(super) exposures: Vec<Vec<usize>>,
     /// What a user should know of it.
     remarks: Vec<String>,
 }
@@ -47,6 +49,7 @@ impl DividedImages {
             return Ok(None);
         }
         let (mut channels, mut parts, mut order, mut begin) = (Vec::new(), Vec::new(), Vec::new(), 0);
+        let mut exposures = Vec::new();
         for ((name, scene), images) in own.iter().zip(images) {
             let planes = match scene.image.diversity_planes.as_deref().unwrap_or(&[0]) {
                 [one] => vec![*one; images.len()],
@@ -73,6 +76,7 @@ impl DividedImages {
                 let name = if plane < 0 { format!("{name}no map") } else { format!("{name}map {plane}") };
                 parts.push(part(images, &name, &which, |image| image.diversity_planes = Some(vec![plane]))?);
                 order.extend(which.iter().map(|image| begin + image));
+                exposures.push(which);
                 each.push((name, plane as f64));
             }
             channels.push(each);
@@ -87,7 +91,7 @@ impl DividedImages {
             )));
         }
         let scene = divided_scene(given, ImageList::DiversityPlanes, &channels, &order)?;
-        Ok(Some(Self { scene, given: given.clone(), images: parts, order, remarks: Vec::new() }))
+        Ok(Some(Self { scene, given: given.clone(), images: parts, order, exposures, remarks: Vec::new() }))
     }
 
     /// Those whose channels have a turn of the pupil each.
@@ -110,6 +114,7 @@ impl DividedImages {
         let most = Scene::MAX_CHANNELS / own.len();
         let (mut channels, mut parts, mut order, mut remarks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut begin, count) = (0, images.iter().map(|images| images.len()).sum::<usize>());
+        let mut exposures = Vec::new();
         for (((name, _), images), turns_deg) in own.iter().zip(images).zip(turns_deg) {
             let turns_deg = match turns_deg.unwrap_or_else(|| vec![0.0]) {
                 one if one.len() == 1 => vec![one[0]; images.len()],
@@ -127,6 +132,7 @@ impl DividedImages {
                 let name = format!("{name}turn {turn_deg:+.3}");
                 parts.push(part(images, &name, &which, |image| image.pupil_turns_deg = Some(vec![turn_deg]))?);
                 order.extend(which.iter().map(|image| begin + image));
+                exposures.push(which);
                 each.push((name, turn_deg));
             }
             channels.push(each);
@@ -135,7 +141,7 @@ impl DividedImages {
         let turns = counted(channels.iter().map(Vec::len).sum(), "turn");
         remarks.push(format!("{} were fitted with {turns} of the pupil.", counted(count, "image")));
         let scene = divided_scene(given, ImageList::PupilTurns, &channels, &order)?;
-        Ok(Some(Self { scene, given: with_turns, images: parts, order, remarks }))
+        Ok(Some(Self { scene, given: with_turns, images: parts, order, exposures, remarks }))
     }
 
     /// `estimate` of these images as one of the images in the order in which they were given.

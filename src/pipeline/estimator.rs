@@ -109,20 +109,27 @@ impl Estimator {
     /// estimate); [`Error::Device`] where the device that the scene names does not exist or fails;
     /// [`Error::Interrupted`] after [`Control::cancel`].
     pub fn estimate(&self, images: &(impl AsRef<[Images]> + ?Sized)) -> Result<Estimate> {
-        self.estimate_with(images.as_ref(), None)
+        self.estimate_with(images.as_ref(), None, None)
     }
 
-    /// [`Estimator::estimate`], with the fits of parts.
-    pub(super) fn estimate_with(&self, images: &[Images], parts: Option<&mut PartFits>) -> Result<Estimate> {
+    /// [`Estimator::estimate`], with the fits of parts; each image of each channel is of the
+    /// exposure `exposures`, where that is not its number.
+    pub(super) fn estimate_with(
+        &self,
+        images: &[Images],
+        exposures: Option<&[Vec<usize>]>,
+        parts: Option<&mut PartFits>,
+    ) -> Result<Estimate> {
         let in_order = self.begin(images)?;
         if let Some((scene, remark)) = scene_of_cut_out(&self.given, &in_order)? {
-            let mut estimate = self.variant(&scene)?.estimate_with(images, parts)?;
+            let mut estimate = self.variant(&scene)?.estimate_with(images, exposures, parts)?;
             estimate.remarks.insert(0, remark);
             return Ok(estimate);
         }
         let truth = in_order[0].truth.as_ref();
         if let Some(divided) = DividedImages::of(&self.given, &in_order)? {
-            let found = self.variant(&divided.scene)?.estimate_with(&divided.images, parts)?;
+            let found =
+                self.variant(&divided.scene)?.estimate_with(&divided.images, Some(&divided.exposures), parts)?;
             let mut estimate = divided.in_given_order(found);
             compare_with_truth(&mut estimate, truth);
             return Ok(estimate);
@@ -132,7 +139,7 @@ impl Estimator {
         let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
             Method::FullPhase => full_phase::estimate(&scene, policy, control, &channels),
-            Method::Modal | Method::Auto => match (Together::of(&scene, policy, &channels)?, parts) {
+            Method::Modal | Method::Auto => match (Together::of(&scene, policy, &channels, exposures)?, parts) {
                 (Some(together), None) => group::estimate(&scene, policy, control, &channels, &together),
                 (Some(_), Some(_)) => Err(refuse_parts(&scene)),
                 (None, parts) => {

@@ -4,6 +4,7 @@
 use super::channels::{ChannelImages, Channels, combined, names};
 use super::estimate::Estimate;
 use super::grouping::{How, Together, fitted_images};
+use super::images::counted;
 use super::modal_task::Fitted;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
@@ -11,7 +12,7 @@ use super::warnings::{agreement_sentence, group_warnings, named};
 use crate::Result;
 use crate::control::{Control, Stage};
 use crate::modal::{
-    self, GroupChannel, GroupEstimate, GroupSequence, JointEstimate, Minima, ModalFitter, SEQUENCE, Search, Status,
+    self, GroupChannel, GroupEstimate, GroupSequence, JointEstimate, Minima, ModalFitter, Search, Status,
     are_determined,
 };
 use crate::scene::{Combine, Grouping, Scene};
@@ -38,12 +39,12 @@ pub(super) fn estimate(
     let is_near_known = match strong.len() {
         0 => false,
         all if all == channels.len() => are_determined(&wavelengths_nm),
-        _ => matches!(together.how, How::All) || are_determined(&wavelengths_nm),
+        _ => together.how == How::All || are_determined(&wavelengths_nm),
     };
     let near = is_near_known.then(|| alone.fit(None)).transpose()?;
     let task = GroupTask::new((scene, policy, control), (channels, together), near.as_ref(), started)?;
-    if let How::Successive(size) = together.how {
-        return task.estimate(task.fit_sequence(size, near.as_ref().map(|(_, near)| near), together.search())?);
+    if together.how == How::Groups {
+        return task.estimate(task.fit_groups(near.as_ref().map(|(_, near)| near), together.search())?);
     }
     if together.how == How::All {
         let near = near.filter(|(_, near)| !near.is_contradictory());
@@ -90,6 +91,8 @@ struct GroupTask<'a> {
     policy: &'a Policy,
     control: &'a Control,
     channels: &'a [ChannelImages<'a>],
+    /// Channel and number of the images of each group, where there are several.
+    groups: &'a [Vec<[usize; 2]>],
     /// Scene and fitter of each channel.
     own: Vec<(Scene, ModalFitter)>,
     /// Whether what the modes leave out is marginalised.
@@ -134,7 +137,8 @@ impl<'a> GroupTask<'a> {
         });
         let own = own.collect::<Result<Vec<_>>>()?;
         let (marginalise, model_seconds) = (policy.recipe(scene).marginalise, began.elapsed().as_secs_f64());
-        Ok(Self { scene, policy, control, channels, own, marginalise, started, model_seconds })
+        let groups = &together.groups;
+        Ok(Self { scene, policy, control, channels, groups, own, marginalise, started, model_seconds })
     }
 
     /// Fits the images `which`, near a wavefront that some of them show.
@@ -144,17 +148,12 @@ impl<'a> GroupTask<'a> {
         self.fitted(group, which, near)
     }
 
-    /// Fits the groups of `size` successive images of each channel, the first near a wavefront.
-    fn fit_sequence(&self, size: usize, near: Option<&JointEstimate>, search: Search) -> Result<GroupFit> {
+    /// Fits each group, the first near a wavefront.
+    fn fit_groups(&self, near: Option<&JointEstimate>, search: Search) -> Result<GroupFit> {
         let which: Vec<Vec<bool>> = self.channels.iter().map(|channel| vec![true; channel.images.len()]).collect();
         let (members, near_nm) = (self.members(&which), near.map(|near| near.modes.coefficients_nm.as_slice()));
-        let places = |group: usize| {
-            let images = group * size..(group + 1) * size;
-            (0..which.len()).flat_map(|channel| images.clone().map(move |image| [channel, image])).collect()
-        };
-        let groups: Vec<Vec<[usize; 2]>> = (0..which[0].len() / size).map(places).collect();
         let how = (near_nm, search);
-        let group = modal::estimate_sequence(self.scene, &members, &groups, how, self.marginalise, self.control)?;
+        let group = modal::estimate_sequence(self.scene, &members, self.groups, how, self.marginalise, self.control)?;
         self.fitted(group, &which, near)
     }
 
@@ -219,8 +218,10 @@ impl<'a> GroupTask<'a> {
             let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
             let mut own = fit.into_estimate(self.policy)?;
             if let Some(sequence) = &sequence {
-                let size = fitted.len() / sequence.count;
-                own.images.iter_mut().enumerate().for_each(|(place, image)| of_sequence(image, place / size, sequence));
+                for (place, image) in own.images.iter_mut().enumerate() {
+                    let group = self.groups.iter().position(|group| group.contains(&[number, place]));
+                    of_sequence(image, group.unwrap_or_default(), sequence);
+                }
             }
             let outcomes = own.images.iter_mut().zip(fitted).enumerate();
             for (place, (image, _)) in outcomes.filter(|(_, (_, is_fitted))| !**is_fitted) {
@@ -238,7 +239,7 @@ impl<'a> GroupTask<'a> {
             used.push(channel);
         }
         let most_different = differences.first().filter(|_| joint.is_contradictory());
-        let has_scatter = sequence.as_ref().is_some_and(|sequence| sequence.used.len() >= SEQUENCE);
+        let has_scatter = sequence.as_ref().is_some_and(|sequence| sequence.has_scatter);
         let mut estimate = combined(self.scene, joint, names(&used), (each, has_scatter.then_some("groups")))?;
         estimate.run.seconds = self.started.elapsed().as_secs_f64() - self.model_seconds;
         estimate.warnings.splice(0..0, refused);
@@ -268,18 +269,19 @@ impl<'a> GroupTask<'a> {
             return Ok(estimate);
         };
         let is_left_out = |group: usize| !sequence.used.contains(&group);
-        estimate.warnings.extend(agreement_sentence(&sequence.agreement, ("group", sequence.count), is_left_out));
-        let unusable: Vec<usize> = (0..sequence.count).filter(|group| !sequence.fitted.contains(group)).collect();
+        estimate.warnings.extend(agreement_sentence(&sequence.agreement, ("group", self.groups.len()), is_left_out));
+        let unusable: Vec<usize> = (0..self.groups.len()).filter(|group| !sequence.fitted.contains(group)).collect();
         if !unusable.is_empty() {
-            let named = named(&unusable, ("group", sequence.count));
+            let named = named(&unusable, ("group", self.groups.len()));
             estimate.warnings.push(format!("{named} cannot be used: of a group all images are needed"));
         }
-        let images = which.iter().map(Vec::len).sum::<usize>() / sequence.count;
         estimate.remarks.insert(
             0,
             format!(
-                "{} groups of {images} images were fitted, each by itself, and the estimate is the mean of {}.",
-                sequence.fitted.len(),
+                "{} of {} images {} fitted, each by itself, and the estimate is the mean of {}.",
+                counted(sequence.fitted.len(), "group"),
+                self.groups[0].len(),
+                if sequence.fitted.len() == 1 { "was" } else { "were" },
                 sequence.used.len()
             ),
         );

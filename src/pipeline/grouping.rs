@@ -11,6 +11,8 @@ pub(super) struct Together {
     /// Which channels are in focus or have less than half a wave of diversity.
     pub(super) weak: Vec<bool>,
     pub(super) how: How,
+    /// Channel and number of the images of each group, where there are several.
+    pub(super) groups: Vec<Vec<[usize; 2]>>,
 }
 
 /// What is done with images that are fitted together.
@@ -20,17 +22,23 @@ pub(super) enum How {
     All,
     /// All are fitted, or each alone where one wavefront does not explain them.
     AllOrEach,
-    /// So many successive images of each channel are a group, and the mean of the groups is wanted.
-    Successive(usize),
+    /// Each group is fitted, and the mean of the groups is wanted.
+    Groups,
 }
 
 impl Together {
-    /// How the images of `channels` are fitted together; `None` where each is fitted alone.
+    /// How the images of `channels` are fitted together; `None` where each is fitted alone. Each
+    /// image of each channel is of the exposure `exposures`, where that is not its number.
     ///
     /// # Errors
     /// Those of the diversities; [`Error::Scene`] for settings that a fit of several images
     /// together does not have.
-    pub(super) fn of(scene: &Scene, policy: &Policy, channels: &[ChannelImages]) -> Result<Option<Self>> {
+    pub(super) fn of(
+        scene: &Scene,
+        policy: &Policy,
+        channels: &[ChannelImages],
+        exposures: Option<&[Vec<usize>]>,
+    ) -> Result<Option<Self>> {
         let images = fitted_images(scene, channels)?.iter().flatten().filter(|is_fitted| **is_fitted).count();
         let alone = || match &scene.estimate.fitted_images {
             None => Ok(None),
@@ -41,15 +49,18 @@ impl Together {
             ))),
         };
         let grouping = scene.estimate.group;
-        if matches!((grouping, channels.len()), (Grouping::Each, _) | (Grouping::Auto | Grouping::Successive(1), 0 | 1))
-        {
+        let mut groups = match grouping {
+            Grouping::Successive(size) => groups_of(scene, size, channels, exposures)?,
+            _ => Vec::new(),
+        };
+        let is_single = groups.first().is_some_and(|group| group.len() == 1);
+        if grouping == Grouping::Each || is_single || (grouping == Grouping::Auto && channels.len() < 2) {
             return alone();
         }
-        let groups = if let Grouping::Successive(size) = grouping { groups_of(scene, size, channels)? } else { 1 };
-        let how = match grouping {
-            Grouping::Successive(size) if groups > 1 => How::Successive(size),
-            _ => How::All,
-        };
+        let how = if groups.len() > 1 { How::Groups } else { How::All };
+        if how == How::All {
+            groups.clear();
+        }
         let weak = channels.iter().map(|channel| is_weak(&channel.scene)).collect::<Result<Vec<_>>>()?;
         let named = || format!("estimate.group = {} fits", grouping.shown());
         let why = match grouping {
@@ -68,7 +79,7 @@ impl Together {
                     channel.name.unwrap_or_default()
                 ),
                 None if is_one_of_each(scene, policy, channels) => {
-                    return Ok(Some(Self { weak, how: How::AllOrEach }));
+                    return Ok(Some(Self { weak, how: How::AllOrEach, groups }));
                 }
                 None => return alone(),
             },
@@ -87,10 +98,10 @@ impl Together {
                 scene.name()
             )));
         }
-        if let How::Successive(_) = how {
+        if how == How::Groups {
             refuse_of_sequence(scene, policy)?;
         }
-        Ok(Some(Self { weak, how }))
+        Ok(Some(Self { weak, how, groups }))
     }
 
     /// How the minima are sought.
@@ -102,22 +113,37 @@ impl Together {
     }
 }
 
-/// Number of the groups of `size` images of each of `channels`.
+/// The groups of `size` successive exposures of each channel: channel and number of their images.
 ///
 /// # Errors
 /// [`Error::Scene`] where groups would differ.
-fn groups_of(scene: &Scene, size: usize, channels: &[ChannelImages]) -> Result<usize> {
-    let counts: Vec<usize> = channels.iter().map(|channel| channel.images.len()).collect();
-    if counts.iter().any(|&count| count != counts[0] || count % size != 0) {
-        let counts: Vec<String> = counts.iter().map(usize::to_string).collect();
+fn groups_of(
+    scene: &Scene,
+    size: usize,
+    channels: &[ChannelImages],
+    exposures: Option<&[Vec<usize>]>,
+) -> Result<Vec<Vec<[usize; 2]>>> {
+    let exposure = |[channel, image]: [usize; 2]| exposures.map_or(image, |exposures| exposures[channel][image]);
+    let images = channels.iter().enumerate();
+    let places = images.flat_map(|(channel, own)| (0..own.images.len()).map(move |image| [channel, image]));
+    let (mut groups, mut count): (Vec<Vec<[usize; 2]>>, usize) = (Vec::new(), 0);
+    for place in places {
+        let group = exposure(place) / size;
+        count = count.max(exposure(place) + 1);
+        groups.resize(groups.len().max(group + 1), Vec::new());
+        groups[group].push(place);
+    }
+    if count % size != 0 || groups.iter().any(|group| group.len() != groups[0].len()) {
+        let multiple = if size == 1 { String::new() } else { format!(", a multiple of {size}") };
+        let counts: Vec<String> = groups.iter().map(|group| group.len().to_string()).collect();
         return Err(Error::Scene(format!(
-            "{}: estimate.group = {} needs as many images of each channel, a multiple of {size}, and the channels have {}",
+            "{}: estimate.group = {} needs as many images of each channel{multiple}, and of {count} exposures its groups have {} images",
             scene.name(),
             scene.estimate.group.shown(),
             counts.join(", ")
         )));
     }
-    Ok(counts[0] / size)
+    Ok(groups)
 }
 
 /// Refuses what a sequence of groups does not have.

@@ -7,7 +7,7 @@ use ndarray::{Array1, Array2, ArrayView1, Axis, Zip};
 
 /// Fewest images of a sequence: the median and the median deviation of eight withstand three that
 /// are arbitrarily bad, and the deviation is accurate to 40 %.
-pub(crate) const SEQUENCE: usize = 8;
+pub(in crate::modal) const SEQUENCE: usize = 8;
 /// Images that scatter up to this many times as much as the others are never outliers: a mean of n
 /// images gains by leaving one out only where its variance is more than 2 + 1/(n−1) times theirs.
 const WORTH_LEAVING_OUT: f64 = 2.0;

@@ -10,8 +10,9 @@
 //!
 //! and where they are of several wavefronts Σ I_g z = Σ (s_g + I_g x̄), x̄ the mean of all x_g.
 //! The prior of the modes is learnt from them once more, and what the modes leave out is common to
-//! all groups. What the groups scatter beyond their noise is added to the error bars, by the rules
-//! of single images ([`crate::modal::combine`]).
+//! all groups. Whether the groups are of one wavefront is tested by the modes of each with that
+//! prior about the mean of all. Where they are, the reduced χ² of their differences multiplies the
+//! variances if it is above 1; where they are not, their scatter is added to these.
 
 use crate::Result;
 use crate::modal::assess::fisher::{null_floor, pseudo_inverse, score_without, without};
@@ -20,7 +21,7 @@ use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::joint::JointEstimate;
 use crate::modal::combine::pistons;
 use crate::modal::combine::sequence::{SEQUENCE, scatter};
-use crate::modal::combine::single_image::{centre, covariance_with_scatter};
+use crate::modal::combine::single_image::centre;
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::fit::{Group, Trial};
@@ -99,13 +100,14 @@ impl FittedGroup {
         })
     }
 
-    /// Its modes with `prior`, and their covariance from the noise of its images, nm².
-    fn with(&self, prior: &Prior, fitter: &ModalFitter) -> Result<(Array1<f64>, Array2<f64>)> {
+    /// Its modes with `prior` about `mean_nm`, and their covariance from the noise of its images,
+    /// nm².
+    fn about(&self, mean_nm: &Array1<f64>, prior: &Prior, fitter: &ModalFitter) -> Result<(Array1<f64>, Array2<f64>)> {
         let (modes, at) = (self.coefficients_nm.len(), &self.coefficients_nm);
         let own = &self.information.slice(s![..modes, ..modes]) / self.inflation;
         let precision = prior.precision(modes);
         let inverse = pseudo_inverse(&(&own + &precision), null_floor(modes, self.pixels))?;
-        let slope = &self.score.slice(s![..modes]) / self.inflation - precision.dot(at);
+        let slope = &self.score.slice(s![..modes]) / self.inflation - precision.dot(&(at - mean_nm));
         let mut coefficients_nm = (at + &inverse.dot(&slope)).to_vec();
         fitter.motions.remove(&mut coefficients_nm);
         Ok((coefficients_nm.into(), fitter.motions.removed_from(&inverse.dot(&own).dot(&inverse))))
@@ -119,6 +121,8 @@ pub(super) struct Mean {
     pub(super) agreement: Agreement,
     /// Those whose mean it is.
     pub(super) used: Vec<usize>,
+    /// Whether its error bars are from their scatter.
+    pub(super) has_scatter: bool,
 }
 
 /// Normal equations of several groups about a point.
@@ -167,14 +171,23 @@ impl Sum {
         Ok(Self { at, information, score, effect, prior, floor })
     }
 
-    /// Covariance of the modes, if nothing is left out.
+    /// Multiplies the variances of all groups by `scale`.
+    fn inflate(&mut self, scale: f64) {
+        self.information /= scale;
+        self.score /= scale;
+        self.effect /= scale;
+    }
+
+    /// Change of the modes from the point, and their covariance, if nothing is left out.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes the images.
-    fn covariance_nm2(&self) -> Result<Array2<f64>> {
-        let modes = self.at.len();
-        let own = &self.information.slice(s![..modes, ..modes]) + &self.prior.precision(modes);
-        pseudo_inverse(&own, self.floor)
+    fn modes_alone(&self) -> Result<(Array1<f64>, Array2<f64>)> {
+        let (modes, precision) = (self.at.len(), self.prior.precision(self.at.len()));
+        let own = &self.information.slice(s![..modes, ..modes]) + &precision;
+        let covariance_nm2 = pseudo_inverse(&own, self.floor)?;
+        let slope = &self.score.slice(s![..modes]) - &precision.dot(&self.at);
+        Ok((covariance_nm2.dot(&slope), covariance_nm2))
     }
 
     /// The estimate, whose covariance has `scatter_nm2` beyond the noise.
@@ -187,7 +200,7 @@ impl Sum {
         fitter: &ModalFitter,
         left_out: Option<&LeftOutOfChannels>,
     ) -> Result<JointEstimate> {
-        let (count, noise_nm2) = (self.at.len(), self.covariance_nm2()?);
+        let (change, noise_nm2) = self.modes_alone()?;
         let with = |change: &Array1<f64>, covariance_nm2: &Array2<f64>| {
             let mut coefficients_nm = (&self.at + change).to_vec();
             fitter.motions.remove(&mut coefficients_nm);
@@ -201,10 +214,7 @@ impl Sum {
                 let found = WithLeftOut::new((first, &fitter.motions), &of_channels.groups, &step, modes.clone(), 1.0);
                 (modes, Some(found))
             }
-            None => {
-                let slope = &self.score - &self.prior.precision(count).dot(&self.at);
-                (with(&noise_nm2.dot(&slope), &noise_nm2), None)
-            }
+            None => (with(&change, &noise_nm2), None),
         };
         let own_maps =
             || [StaticMaps::of_modes(&fitter.model, &modes), StaticMaps::of_error_bars(&fitter.model, &modes)];
@@ -260,12 +270,15 @@ pub(super) fn mean_of(
     let rows: Vec<Vec<f64>> = rows.collect();
     let mut rows_nm = Array2::from_shape_fn((groups.len(), modes), |(group, mode)| rows[group][mode]);
     let mut used: Vec<usize> = (0..groups.len()).collect();
-    // By one prior: the levels that a group finds are noise, too.
-    let prior = Sum::new(groups, (&used, &rows_nm), true, fitter)?.prior;
+    // By one prior, for the levels that a group finds are noise, too, and about the mean of all, so
+    // that it moves faint groups no further from bright ones.
+    let sum = Sum::new(groups, (&used, &rows_nm), true, fitter)?;
+    let mean_nm = &sum.at + &sum.modes_alone()?.0;
     let (mut fitted_nm, mut noise_nm2) = (rows_nm.clone(), Vec::new());
     for (group, (mut fitted_nm, row_nm)) in groups.iter().zip(fitted_nm.outer_iter_mut().zip(rows_nm.outer_iter())) {
-        let (own_nm, own_noise_nm2) = group.with(&prior, fitter)?;
-        fitted_nm.assign(&(&row_nm + &own_nm - &group.coefficients_nm));
+        let to_row_nm = &row_nm - &group.coefficients_nm;
+        let (own_nm, own_noise_nm2) = group.about(&(&mean_nm - &to_row_nm), &sum.prior, fitter)?;
+        fitted_nm.assign(&(own_nm + to_row_nm));
         noise_nm2.push(own_noise_nm2);
     }
     let mean_noise_nm2 = |used: &[usize]| {
@@ -289,31 +302,34 @@ pub(super) fn mean_of(
     // Groups of one wavefront count by what they know. Of several, each of which knows another part
     // best, the mean is wanted.
     let has_weights = is_clipped || !agreement.is_significant();
-    let sum = Sum::new(groups, (&used, &rows_nm), has_weights, fitter)?;
-    let used_nm = fitted_nm.select(Axis(0), &used);
-    let scatter_nm2 = scatter_beyond_noise((&agreement, is_clipped), &used_nm, &mean_noise_nm2(&used), fitter);
-    Ok(Mean { joint: sum.estimate(&scatter_nm2, fitter, left_out)?, agreement, used })
+    let mut sum = Sum::new(groups, (&used, &rows_nm), has_weights, fitter)?;
+    let mut scatter_nm2 = Array2::zeros((modes, modes));
+    if !has_weights {
+        let used_nm = fitted_nm.select(Axis(0), &used);
+        scatter_nm2 = scatter_beyond_noise(&agreement, &used_nm, &mean_noise_nm2(&used), fitter);
+    } else if !is_clipped && agreement.reduced_chi2 > 1.0 {
+        sum.inflate(agreement.reduced_chi2);
+    }
+    let has_scatter = !has_weights && used.len() >= SEQUENCE;
+    Ok(Mean { joint: sum.estimate(&scatter_nm2, fitter, left_out)?, agreement, used, has_scatter })
 }
 
-/// What the covariance of the mean of groups with the modes `used_nm` has beyond the mean of their
-/// `noise_nm2`, because they scatter more; as for single images.
+/// What the covariance of the mean of groups that are not of one wavefront, with the modes
+/// `used_nm`, has beyond the mean of their `noise_nm2`: from eight on by their scatter, otherwise by
+/// the χ² of their differences, because the scatter of few is of low rank.
 fn scatter_beyond_noise(
-    (agreement, is_clipped): (&Agreement, bool),
+    agreement: &Agreement,
     used_nm: &Array2<f64>,
     noise_nm2: &Array2<f64>,
     fitter: &ModalFitter,
 ) -> Array2<f64> {
     let count = used_nm.nrows();
-    if agreement.is_contradictory() {
-        // The mean of several wavefronts is as far from each of them as they are from each other.
-        return noise_nm2 * agreement.reduced_chi2;
-    }
     let single_nm2 = if count >= SEQUENCE {
         fitter.motions.removed_from(&scatter(used_nm, Combine::Mean, noise_nm2))
-    } else if agreement.is_significant() && !is_clipped {
-        noise_nm2 * agreement.reduced_chi2
     } else {
-        covariance_with_scatter(noise_nm2.clone(), used_nm)
+        noise_nm2 * agreement.reduced_chi2
     };
-    (single_nm2 - noise_nm2) / count as f64
+    // The mean of several wavefronts is as far from each of them as they are from each other.
+    let shared_by = if agreement.is_contradictory() { 1 } else { count };
+    (single_nm2 - noise_nm2) / shared_by as f64
 }

@@ -122,12 +122,12 @@ impl GroupEquations {
             }
             let frames: Vec<_> = own.iter().map(|((_, member), minimum)| (&member.image, *minimum)).collect();
             let found = left_out.normal_equations(&fitter.model, &frames)?;
-            for (((image, _), minimum), own_score) in own.into_iter().zip(found.images) {
+            for (number, ((image, _), _)) in own.into_iter().enumerate() {
                 let own = ImageEquations {
                     image,
                     place: place(image, channel),
-                    score: own_score,
-                    information: &found.information * minimum.chi2.square_snr,
+                    score: found.images[number].clone(),
+                    information: found.information_of(number),
                 };
                 own.place.add(&own.information, &own.score, &tilts, (&mut information, &mut score));
                 images.push(own);
@@ -234,8 +234,7 @@ impl GroupPosterior {
     ) -> Result<f64> {
         let (fitted, shared) = (group.unknowns.count(), group.unknowns.shared());
         let found = of_channels.each[channel].normal_equations(&fitter.model, &[(prepared, minimum)])?;
-        let information = found.information * minimum.chi2.square_snr;
-        let score = found.images.into_iter().next().unwrap_or_default();
+        let (information, score) = (found.information_of(0), found.images[0].clone());
         let [own, behind] = &self.change;
         let places = of_channels.places(&group.unknowns, channel);
         let of = |&place: &usize| place.checked_sub(fitted).map_or_else(|| own[place], |place| behind[place]);

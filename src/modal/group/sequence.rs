@@ -1,6 +1,7 @@
 //! Sequences of groups: each group has a wavefront of its own, and the estimate is their mean.
 
 use crate::control::{Control, Stage};
+use crate::modal::assess::status::Status;
 use crate::modal::combine::joint::check_same_modes;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::mean::{FittedGroup, Mean, mean_of};
@@ -28,6 +29,8 @@ struct GroupFit {
     group: FittedGroup,
     minima: Minima,
     is_explained: bool,
+    /// Why one of its images cannot be used.
+    refusal: Option<String>,
     /// Its images: channel and number, with the weights and the minimum of the fit.
     images: Vec<([usize; 2], PreparedFrame, Minimum)>,
 }
@@ -54,9 +57,18 @@ impl Task<'_> {
         let group = FittedGroup::new(of_group, &found.normal.each, equations, inflation, &fitters[0])?;
         self.control.step(1);
         let members = found.group.members.iter().zip(&found.best.minima);
+        let refusal = members.clone().find_map(|(member, minimum)| match member.status(minimum) {
+            Status::Unusable(refusal) => Some(refusal.to_string()),
+            _ => None,
+        });
         let images = members.map(|(member, minimum)| (member.place, member.image.clone(), minimum.clone())).collect();
-        Ok(GroupFit { group, minima: found.minima, is_explained: found.is_explained(), images })
+        Ok(GroupFit { group, minima: found.minima, is_explained: found.is_explained(), refusal, images })
     }
+}
+
+/// The error of `groups` none of which can be used, one for this `reason`.
+fn none_of(groups: &[Vec<[usize; 2]>], reason: &str) -> Error {
+    Error::Image(format!("each of {} groups has an image that cannot be used: {reason}", groups.len()))
 }
 
 /// Fits each of `groups`, channel and number of its images, alone, the first near `near_nm` or the
@@ -83,11 +95,7 @@ pub(crate) fn estimate_sequence(
     let task = Task { scene, fitters: &fitters, fits: &fits, left_out: left_out.as_ref(), control };
     let numbers: Vec<usize> = (0..groups.len()).filter(|&group| task.is_whole(&groups[group])).collect();
     let Some((&first, others)) = numbers.split_first() else {
-        let reason = reason_of_none(fits.iter().flatten());
-        return Err(Error::Image(format!(
-            "each of {} groups has an image that cannot be used: {reason}",
-            groups.len()
-        )));
+        return Err(none_of(groups, &reason_of_none(fits.iter().flatten())));
     };
     let first = task.fit(&groups[first], how)?;
     // Wavefronts of one telescope are alike.
@@ -105,8 +113,13 @@ pub(crate) fn estimate_sequence(
         has_twin: found.iter().any(|group| group.minima.has_twin),
         ..found.iter().find(|group| group.minima.is_suspicious).unwrap_or(&found[0]).minima
     };
-    let fitted: Vec<FittedGroup> = found.into_iter().map(|found| found.group).collect();
-    let Mean { joint, agreement, used } = mean_of(&fitted, &fitters[0], left_out.as_ref())?;
+    let refusal = found[0].refusal.clone();
+    let usable = numbers.into_iter().zip(found).filter(|(_, found)| found.refusal.is_none());
+    let (numbers, fitted): (Vec<usize>, Vec<FittedGroup>) = usable.map(|(group, found)| (group, found.group)).unzip();
+    if let (true, Some(reason)) = (fitted.is_empty(), refusal) {
+        return Err(none_of(groups, &reason));
+    }
+    let Mean { joint, agreement, used, has_scatter } = mean_of(&fitted, &fitters[0], left_out.as_ref())?;
     Ok(GroupEstimate {
         joint,
         channels: of_channels(fitters, fits, started)?,
@@ -114,7 +127,7 @@ pub(crate) fn estimate_sequence(
         is_explained: is_explained && !agreement.is_contradictory(),
         differences: Vec::new(),
         sequence: Some(GroupSequence {
-            count: groups.len(),
+            has_scatter,
             agreement: agreement.of_images(&numbers),
             used: used.into_iter().map(|place| numbers[place]).collect(),
             fitted: numbers,

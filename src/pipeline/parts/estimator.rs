@@ -25,7 +25,7 @@ impl Estimator {
         images: &(impl AsRef<[Images]> + ?Sized),
         parts: &mut PartFits,
     ) -> Result<Estimate> {
-        self.estimate_with(images.as_ref(), Some(parts))
+        self.estimate_with(images.as_ref(), None, Some(parts))
     }
 
     /// Fits the images of one part of the estimate from `images`, those of each channel as in
@@ -48,25 +48,42 @@ impl Estimator {
                  scene that it writes"
             )));
         }
-        let images = images.as_ref();
+        self.fit_part_of(images.as_ref(), None, part, earlier)
+    }
+
+    /// [`Estimator::fit_part`], with `exposures` as in [`Estimator::estimate_with`].
+    fn fit_part_of(
+        &self,
+        images: &[Images],
+        exposures: Option<&[Vec<usize>]>,
+        part: Part,
+        earlier: Vec<FittedPart>,
+    ) -> Result<FittedPart> {
         let in_order = self.begin(images)?;
         if let Some((scene, _)) = scene_of_cut_out(&self.given, &in_order)? {
-            return self.variant(&scene)?.fit_part(images, part, earlier);
+            return self.variant(&scene)?.fit_part_of(images, exposures, part, earlier);
         }
         if let Some(divided) = DividedImages::of(&self.given, &in_order)? {
-            return self.variant(&divided.scene)?.fit_part(&divided.images, part, earlier);
+            let own = self.variant(&divided.scene)?;
+            return own.fit_part_of(&divided.images, Some(&divided.exposures), part, earlier);
         }
-        let found = self.fits_of(&in_order, part, earlier);
+        let found = self.fits_of(&in_order, exposures, part, earlier);
         self.control.enter(Stage::Idle, 0);
         acknowledged(&self.control, found)
     }
 
-    fn fits_of(&self, images: &[&Images], part: Part, earlier: Vec<FittedPart>) -> Result<FittedPart> {
+    fn fits_of(
+        &self,
+        images: &[&Images],
+        exposures: Option<&[Vec<usize>]>,
+        part: Part,
+        earlier: Vec<FittedPart>,
+    ) -> Result<FittedPart> {
         let cut = self.cut(images);
         let EstimateInput { scene, channels, .. } = self.ready(images, &cut)?;
         let identity = self.identity(&scene, &channels)?;
         let images = channels.iter().map(|channel| channel.images.len()).sum();
-        if Together::of(&scene, &self.policy, &channels)?.is_some() {
+        if Together::of(&scene, &self.policy, &channels, exposures)?.is_some() {
             return Err(refuse_parts(&scene));
         }
         let all: Vec<&ChannelImages> = channels.iter().collect();
