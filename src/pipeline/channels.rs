@@ -296,7 +296,8 @@ pub(super) fn combined(
 /// What the step found; `None` where a fit ended far from its minimum, from where a linear step has
 /// no meaning.
 fn of_step<'a>(found: &'a JointEstimate, each: &[Estimate]) -> Option<&'a WithLeftOut> {
-    found.left_out.as_ref().filter(|_| each.iter().all(|one| one.status.is_near_minimum()))
+    let mut used = each.iter().flat_map(|one| &one.images).filter(|image| image.is_used);
+    found.left_out.as_ref().filter(|_| used.all(|image| image.report.status.is_near_minimum()))
 }
 
 fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<String> {

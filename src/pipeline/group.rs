@@ -203,6 +203,11 @@ impl<'a> GroupTask<'a> {
         let GroupFit { group, which, foreign } = found;
         let GroupEstimate { joint, channels: fits, minima, differences, sequence, .. } = group;
         let (mut each, mut used, mut refused, mut compared) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let group_of = |place: [usize; 2]| self.groups.iter().position(|group| group.contains(&place)).unwrap_or(0);
+        let is_used = |[channel, image]: [usize; 2]| {
+            which[channel][image]
+                && sequence.as_ref().is_none_or(|sequence| sequence.used.contains(&group_of([channel, image])))
+        };
         for (number, (fit, fitted)) in fits.into_iter().zip(&which).enumerate() {
             let (channel, (own, _)) = (&self.channels[number], &self.own[number]);
             let fit = match fit {
@@ -215,17 +220,22 @@ impl<'a> GroupTask<'a> {
             };
             let scene = own.adopting(fit.0.scene())?;
             let model_seconds = if each.is_empty() { self.model_seconds } else { 0.0 };
+            let (fitter, mut own_fit) = fit;
+            if (0..fitted.len()).any(|place| !is_used([number, place])) {
+                // That of its images has those that are left out.
+                own_fit.mean_residual_chi2 = 1.0;
+            }
+            let fit = (fitter, own_fit);
             let fit = Fitted { fit, scene, selected: None, cause: None, changes: None, model_seconds };
             let mut own = fit.into_estimate(self.policy)?;
             if let Some(sequence) = &sequence {
                 for (place, image) in own.images.iter_mut().enumerate() {
-                    let group = self.groups.iter().position(|group| group.contains(&[number, place]));
-                    of_sequence(image, group.unwrap_or_default(), sequence);
+                    of_sequence(image, group_of([number, place]), sequence);
                 }
             }
             let outcomes = own.images.iter_mut().zip(fitted).enumerate();
             for (place, (image, _)) in outcomes.filter(|(_, (_, is_fitted))| !**is_fitted) {
-                image.is_used = false;
+                (image.is_used, image.is_clipped) = (false, false);
                 if foreign.contains(&[number, place]) {
                     image.is_clipped = true;
                     image.message = "of another wavefront than the others".into();
@@ -258,7 +268,8 @@ impl<'a> GroupTask<'a> {
             ));
         }
         // Of an image that is left out its warning has everything.
-        let kept: Vec<_> = estimate.images.iter().filter(|image| !image.is_clipped).collect();
+        let is_kept = |image: &&ImageOutcome| if sequence.is_some() { image.is_used } else { !image.is_clipped };
+        let kept: Vec<_> = estimate.images.iter().filter(is_kept).collect();
         let contradiction = sequence.iter().filter(|sequence| sequence.agreement.is_contradictory());
         let contradiction = contradiction.map(|_| &Status::Contradictory);
         estimate.status = *Status::worst(kept.iter().map(|image| &image.report.status).chain(contradiction));
@@ -273,15 +284,16 @@ impl<'a> GroupTask<'a> {
         let unusable: Vec<usize> = (0..self.groups.len()).filter(|group| !sequence.fitted.contains(group)).collect();
         if !unusable.is_empty() {
             let named = named(&unusable, ("group", self.groups.len()));
-            estimate.warnings.push(format!("{named} cannot be used: of a group all images are needed"));
+            let reason = estimate.images.iter().find(|image| matches!(image.report.status, Status::Unusable(_)));
+            let reason = reason.map(|image| format!(" ({})", image.message)).unwrap_or_default();
+            estimate.warnings.push(format!("{named} cannot be used: of a group all images are needed{reason}"));
         }
         estimate.remarks.insert(
             0,
             format!(
-                "{} of {} images {} fitted, each by itself, and the estimate is the mean of {}.",
+                "{} of {} fitted, each by itself, and the estimate is the mean of {}.",
                 counted(sequence.fitted.len(), "group"),
-                self.groups[0].len(),
-                if sequence.fitted.len() == 1 { "was" } else { "were" },
+                were(self.groups[0].len(), "image"),
                 sequence.used.len()
             ),
         );
@@ -290,8 +302,8 @@ impl<'a> GroupTask<'a> {
 
     /// The image of a channel, for a sentence.
     fn named(&self, [channel, image]: [usize; 2]) -> String {
-        let of = self.channels[channel].name.map(|name| format!(" of channel {name}")).unwrap_or_default();
-        format!("image {image}{of}")
+        let of = self.channels[channel].name.map(|name| format!("channel {name}: ")).unwrap_or_default();
+        of + &named(&[image], ("image", self.channels[channel].images.len()))
     }
 }
 
@@ -326,11 +338,16 @@ fn warnings(minima: &Minima) -> Vec<String> {
     sentences
 }
 
+/// So many, as the subject of a sentence.
+fn were(count: usize, noun: &str) -> String {
+    format!("{} {}", counted(count, noun), if count == 1 { "was" } else { "were" })
+}
+
 /// What a user should know of the fit, and of the images that were compared with it.
 fn remark(estimate: &Estimate, compared_chi2: &[f64], minima: &Minima) -> String {
     let images = estimate.images.iter().filter(|image| image.is_used).count();
     if minima.starts == 1 && compared_chi2.is_empty() {
-        return format!("{images} images were fitted together.");
+        return format!("{} fitted together.", were(images, "image"));
     }
     let next = match minima.next {
         Some(next) => format!("the next minimum is at Δχ² = {next:.0}"),
@@ -339,13 +356,15 @@ fn remark(estimate: &Estimate, compared_chi2: &[f64], minima: &Minima) -> String
     let compared = match compared_chi2.iter().copied().reduce(f64::max) {
         None => String::new(),
         Some(most) => format!(
-            " {} others are predicted from their wavefront with a reduced χ² of {:.2} in the median and {most:.2} at most.",
-            compared_chi2.len(),
+            " {} predicted from their wavefront with a reduced χ² of {:.2} in the median and {most:.2} at most.",
+            if compared_chi2.len() == 1 { "1 other is".into() } else { format!("{} others are", compared_chi2.len()) },
             median(compared_chi2)
         ),
     };
     format!(
-        "{images} images were fitted together; {} of {} starts ended in this minimum, and {next}.{compared}",
-        minima.in_best, minima.starts
+        "{} fitted together; {} of {} starts ended in this minimum, and {next}.{compared}",
+        were(images, "image"),
+        minima.in_best,
+        minima.starts
     )
 }

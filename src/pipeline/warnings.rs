@@ -10,7 +10,7 @@ use crate::modal::{
     SharedFigure, Status, Verdict, WithLeftOut,
 };
 use crate::modes::Direction;
-use crate::scene::AoKnowledge;
+use crate::scene::{AoKnowledge, Optic};
 use crate::statics::{ErrorSource, Iteration};
 
 /// What a χ² that is too small means.
@@ -84,13 +84,17 @@ pub(super) fn modal_warnings(
     // Images in focus by themselves: the images of other channels determine what they do not.
     let alone = !found.is_of_group();
     sentences.extend(diversity.warning(fitter.scene().image.wavelength_nm).filter(|_| alone));
+    let is_in_error_bars = |optic: Optic| {
+        [Optic::DEFOCUS, Optic::DIVERSITY].contains(&optic) && fitter.scene().tolerance.defocus_fraction > 0.0
+    };
     for optic in fitter.fitted_optics().iter().filter(|optic| !optic.is_identifiable()) {
         sentences.push(format!(
             "estimate.fit_optics names \"{}\", which these images do not distinguish from the modes: {} stays {}, and the \
-             error bars do not include its error",
+             error bars {}",
             optic.optic.word(),
             optic.key,
-            optic.value
+            optic.value,
+            if is_in_error_bars(optic.optic) { "hold the tolerance of it" } else { "do not include its error" }
         ));
     }
     // On the images of a group there is one of all.
@@ -111,7 +115,8 @@ pub(super) fn modal_warnings(
 /// minimum, of images that do not change by this reduced χ² as behind adaptive optics.
 pub(super) fn meaningful_left_out(found: &modal::ModalEstimate, changes: Option<f64>) -> Option<&WithLeftOut> {
     let is_static = changes.is_none_or(|chi2| chi2 < CHANGING);
-    found.left_out().filter(|_| is_static && found.status_of_all().is_near_minimum())
+    let mut of_used = found.combined.used_images.iter().map(|&image| &found.images[image].status);
+    found.left_out().filter(|_| is_static && of_used.all(Status::is_near_minimum))
 }
 
 /// Warnings on errors of the optics and the camera beyond their tolerances that the images show,
@@ -285,9 +290,7 @@ pub(super) fn agreement_sentence(
             let (were, remedy) = match (images.len() == 1, is_out) {
                 (true, true) => ("was", "left out"),
                 (false, true) => ("were", "left out"),
-                (_, false) => {
-                    ("are", "used as well: leave them out, or set estimate.combine = \"clipped-mean\", which does")
-                }
+                (_, false) => (are, "used as well: estimate.combine = \"clipped-mean\" leaves such ones out"),
             };
             Some(format!(
                 "{which} {are} of another wavefront than the others, which agree with each other, and {were} {remedy} ({scatter})"

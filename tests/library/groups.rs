@@ -117,6 +117,8 @@ fn images_that_are_not_fitted_are_predicted() {
     images.images_e.index_axis_mut(Axis(0), 3).assign(&shape_of_two);
     let found = estimate(&scene, &images);
     assert!(found.images[3].report.reduced_chi2 > 5.0, "{}", found.images[3].report.reduced_chi2);
+    assert!(found.warnings.iter().any(|warning| warning.contains("not explained")), "{:?}", found.warnings);
+    assert!(!found.images[3].is_clipped && !found.images[3].is_used);
 }
 
 /// `images` with those of `other` at `places`.
@@ -141,7 +143,7 @@ fn images_of_another_wavefront_are_left_out() {
     let found = estimate(&scene, &with_images_of(&images, &other, &[3, 4]));
     let clipped = found.images.iter().filter(|image| image.is_clipped && !image.is_used).count();
     assert_eq!((clipped, found.warnings.len(), found.status), (2, 1, cophase::Status::Ok), "{:?}", found.warnings);
-    for name in ["image 0 of channel map 2", "image 0 of channel map 3", "were left out"] {
+    for name in ["channel map 2: image 1 of 2", "channel map 3: image 1 of 1", "were left out"] {
         assert!(says(&found, name), "{name}: {:?}", found.warnings);
     }
     assert!((0.6..1.6).contains(&pull(&found)), "{}", pull(&found));

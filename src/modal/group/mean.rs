@@ -315,8 +315,8 @@ pub(super) fn mean_of(
 }
 
 /// What the covariance of the mean of groups that are not of one wavefront, with the modes
-/// `used_nm`, has beyond the mean of their `noise_nm2`: from eight on by their scatter, otherwise by
-/// the χ² of their differences, because the scatter of few is of low rank.
+/// `used_nm`, has beyond the mean of their `noise_nm2`: from eight on by their scatter, otherwise
+/// by the χ² of their differences, because the scatter of few is of low rank.
 fn scatter_beyond_noise(
     agreement: &Agreement,
     used_nm: &Array2<f64>,
