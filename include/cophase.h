@@ -1023,8 +1023,8 @@ typedef struct {
  * rejected in the fit. The same frame gives the same bits, with any other frames in the call.
  *
  * A group is what sees one wavefront: one frame of each channel of the model, which is one image
- * of a model with one channel. Each channel is fitted by itself, and the fits of several channels
- * are combined: the modes that they have in common.
+ * of a model with one channel. The frames of a group are fitted together, with the modes in common
+ * and each its own tip, tilt, flux and background.
  *
  * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may
  * call at any time.
@@ -1063,8 +1063,7 @@ cophase_status cophase_session_calibrate(cophase_session *session,
  */
 cophase_status cophase_session_cancel(const cophase_session *session);
 
-/* Fits the model to frames, one channel after the other, and combines the fits of several
- * channels. [RT]
+/* Fits the model to frames, those of a group together. [RT]
  *
  * frames: an array for each channel, in the order of the model, each count x rows x cols of its
  *   channel, count up to the session's capacity: frames k of all channels are group k. Values that
@@ -1072,12 +1071,12 @@ cophase_status cophase_session_cancel(const cophase_session *session);
  * channels: number of channels of the model.
  * options: NULL for the defaults. The deadline holds for all frames together.
  * coefficients_nm: receives count x modes numbers in C order: of one channel those of each image,
- *   NaN for an unusable one; of several the modes that they have in common, NaN unless the fits of
- *   all channels of the group converged.
+ *   NaN for an unusable one; of several the modes that they have in common, NaN unless all frames
+ *   of the group can be used and the fit converged.
  * sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels;
- *   NULL if they are not wanted. The channels are weighed, and error bars are, as at a flat
- *   wavefront with the flux and the noise of the frames, scaled by chi-square where a model
- *   misfits or the channels contradict each other. They hold the noise, and not what the scene
+ *   NULL if they are not wanted. They are those of a flat wavefront with the flux and the noise of
+ *   the frames, scaled by the largest chi-square where a model misfits or the channels contradict
+ *   each other. They hold the noise, and not what the scene
  *   does not know (plate scale, defocus, gains) nor what the modes leave out:
  *   cophase_estimator_estimate has these. NaN for one channel, whose covariance
  *   cophase_session_refine has.
@@ -1128,17 +1127,17 @@ cophase_status cophase_session_evaluate(cophase_session *session,
                                         double *gradients);
 
 /* The result of a group of the last fit with its covariance, in some hundred evaluations of each
- * channel: of one channel that of the noise, scaled by chi-square where the model misfits. The
- * fits of several channels are combined by their information at the fitted wavefronts, and the
- * whole wavelengths of pistons found (modes.piston_range_nm): what cophase_estimator_estimate
- * finds in these frames by the policy COPHASE_POLICY_REALTIME.
+ * channel: of one channel that of the noise, scaled by chi-square where the model misfits. Of
+ * several channels it is from the information at the fitted wavefront, with the whole wavelengths
+ * of pistons found (modes.piston_range_nm): what cophase_estimator_estimate finds in these frames
+ * by the policy COPHASE_POLICY_REALTIME.
  *
  * group: number of the group in the last fit, from 0.
  * coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each
  *   may be NULL. modes: the model's number of modes.
  * report: NULL if it is not wanted. report_size: sizeof(cophase_group_report).
  *
- * COPHASE_BAD_VALUE for a group that was not fitted, and unless the fits of several channels
+ * COPHASE_BAD_VALUE for a group that was not fitted, and unless the fit of several channels
  * converged.
  */
 cophase_status cophase_session_refine(const cophase_session *session,

@@ -28,10 +28,10 @@ mod fit;
 mod mean;
 mod member;
 mod posterior;
-mod prior;
+pub(in crate::modal) mod prior;
 pub(in crate::modal) mod sequence;
 mod starts;
-mod unknowns;
+pub(in crate::modal) mod unknowns;
 
 use crate::Result;
 use crate::control::{Control, Stage};

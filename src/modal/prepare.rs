@@ -60,7 +60,7 @@ pub struct Preparation {
 }
 
 /// A prepared frame.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct PreparedFrame {
     /// Exposure for the imaging chain.
     pub exposure: Exposure,
@@ -82,6 +82,27 @@ pub struct PreparedFrame {
     pub taken_out: RejectedPixels,
     /// Pixels of the fitted part that the fit rejects; their floor is infinite.
     pub(super) rejected: Rejected,
+}
+
+impl Clone for PreparedFrame {
+    fn clone(&self) -> Self {
+        Self {
+            exposure: self.exposure.clone(),
+            floor_variance_e2: self.floor_variance_e2.clone(),
+            rejected: self.rejected.clone(),
+            ..*self
+        }
+    }
+
+    /// Without another allocation where the frames have one size.
+    fn clone_from(&mut self, source: &Self) {
+        let Self { stated_share, level_e, shift_pixels, bad_pixels, taken_out, .. } = *source;
+        self.exposure.clone_from(&source.exposure);
+        self.floor_variance_e2.clone_from(&source.floor_variance_e2);
+        self.rejected.clone_from(&source.rejected);
+        (self.stated_share, self.level_e, self.shift_pixels) = (stated_share, level_e, shift_pixels);
+        (self.bad_pixels, self.taken_out) = (bad_pixels, taken_out);
+    }
 }
 
 /// Treatment of bad pixels where the sampling is reduced.

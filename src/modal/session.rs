@@ -3,15 +3,15 @@
 //! which is one image where the scene has one channel.
 //!
 //! Frames are fitted as [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no
-//! search for outliers in frames that are reduced, no restarts. The fits of several channels are
-//! combined as in `joint.rs`, with the information of each channel taken at the flat wavefront, at
-//! the flux and the noise of its frame, where `joint.rs` computes it at the fitted wavefront in
-//! some hundred evaluations: [`Session::refine`] does so. Weights that are off by a few per cent
-//! leave the estimate without bias, and change it by as many per cent of its error bar.
+//! search for outliers in frames that are reduced, no restarts. Those of several channels are
+//! fitted together (`joint_fit`). Their error bars are from the information at the flat wavefront,
+//! at the flux and the noise of each frame (`information`); at the fitted wavefront it would take
+//! some hundred evaluations: [`Session::refine`] has it.
 
 mod channel;
 pub(in crate::modal) mod channel_fitters;
-mod combiner;
+mod information;
+mod joint_fit;
 mod options;
 #[cfg(all(test, feature = "opencl", debug_assertions))]
 mod tests;
@@ -21,18 +21,17 @@ pub use options::{FitOptions, GroupResult, ImageResult, RefinedGroup, SessionOpt
 
 use super::combine::combine;
 use crate::control::Control;
-use crate::modal::assess::status::Status;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::diversity_error::has_diversity;
 use crate::modal::combine::integers::are_determined;
-use crate::modal::combine::joint::{contradict, joint};
+use crate::modal::combine::joint::joint;
 use crate::modal::estimate::image_fits::FittedCube;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::refined;
 use crate::modal::session::channel_fitters::ChannelFitters;
 use crate::scene::Weighting;
 use crate::{Error, Result};
-use combiner::{Combiner, FittedChannel};
+use joint_fit::JointFit;
 use ndarray::{ArrayView2, ArrayViewMut2};
 use options::check_read_noise;
 use std::time::Instant;
@@ -47,17 +46,16 @@ use std::time::Instant;
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`]
 /// neither allocate nor free memory, take no lock and format no text, except for an error message.
-/// A fit depends on its own image alone: it is that of
-/// [`ModalFitter::estimate`](super::ModalFitter::estimate) to the last bit, for any number of
-/// images, channels and threads.
+/// A fit depends on its own group alone, for any number of groups and threads; that of one channel
+/// is that of [`ModalFitter::estimate`](super::ModalFitter::estimate) to the last bit.
 ///
 /// In several wavelengths pistons are taken within half a wavelength of the start; where that is
 /// wrong, the channels contradict each other, and [`Session::refine`] finds the whole wavelengths.
 pub struct Session {
     fitters: ChannelFitters,
     channels: Vec<SessionChannel>,
-    /// What combines the fits of several channels.
-    combiner: Option<Combiner>,
+    /// What fits the frames of several channels together.
+    joint: Option<JointFit>,
     control: Control,
     results: Vec<GroupResult>,
     /// Number of groups of the last fit.
@@ -71,23 +69,23 @@ impl Session {
     /// # Errors
     /// [`Error::Value`] for options out of range and for a recipe with the paper's BFGS, which
     /// cannot be stopped and resumed; [`Error::Device`] where the device cannot run the model;
-    /// [`Error::Scene`] for several channels of which one is in focus, that are not weighted by
-    /// their noise, or whose modes do not span an error of the diversity.
+    /// [`Error::Scene`] for several channels that are all in focus, that are not weighted by their
+    /// noise, or whose modes do not span an error of the diversity.
     pub fn new(fitters: impl Into<ChannelFitters>, options: &SessionOptions) -> Result<Self> {
         let fitters = fitters.into();
         options.check()?;
         let is_joint = fitters.len() > 1;
         if is_joint {
-            check_combination(&fitters)?;
+            check_channels(&fitters)?;
         }
         let control = Control::default();
         let channels = fitters
             .iter()
-            .map(|(name, fitter)| SessionChannel::new(name, fitter.clone(), options, control.clone()))
+            .map(|(name, fitter)| SessionChannel::new((name, fitter.clone()), options, control.clone(), is_joint))
             .collect::<Result<Vec<_>>>()?;
-        let combiner = is_joint.then(|| Combiner::new(&fitters)).transpose()?;
+        let joint = is_joint.then(|| JointFit::new(&fitters, &channels, &control)).transpose()?;
         let results = vec![GroupResult::new(fitters.first().model.optics.modes()); options.capacity];
-        Ok(Self { fitters, channels, combiner, control, results, fitted: 0 })
+        Ok(Self { fitters, channels, joint, control, results, fitted: 0 })
     }
 
     /// The fitters of the channels.
@@ -128,9 +126,9 @@ impl Session {
         })
     }
 
-    /// Fits the frames of groups 0 to `count` − 1, one channel after the other, and combines the
-    /// fits of several channels. A start of `options` is that of all channels; the deadline holds
-    /// for all fits together. A frame that cannot be fitted has its status in its result.
+    /// Fits the frames of groups 0 to `count` − 1, those of a group together. A start of `options`
+    /// is that of all channels; the deadline holds for all fits together. A frame that cannot be
+    /// fitted has its status in its result.
     ///
     /// # Errors
     /// [`Error::Interrupted`] where [`Session::control`] was cancelled, which leaves no results;
@@ -143,18 +141,33 @@ impl Session {
         options.check(count, self.modes())?;
         // A deadline that the clock cannot represent is no deadline.
         let deadline = options.deadline.and_then(|time| began.checked_add(time));
-        for channel in &mut self.channels {
-            let fitted = channel.fit(count, options.start_nm, options.read_noise_e, deadline);
-            if let Err(error) = fitted {
-                self.discard_results();
-                return Err(error);
+        let fitted = self.fit_until(deadline, count, options);
+        if let Err(error) = fitted {
+            if let Error::Interrupted(_) = error {
+                self.control.acknowledge();
             }
-        }
-        for group in 0..count {
-            self.combine(group);
+            self.discard_results();
+            return Err(error);
         }
         self.fitted = count;
         Ok(())
+    }
+
+    fn fit_until(&mut self, deadline: Option<Instant>, count: usize, options: &FitOptions) -> Result<()> {
+        let (start_nm, read_noise_e) = (options.start_nm, options.read_noise_e);
+        match &mut self.joint {
+            Some(joint) => {
+                let control = self.control.silent().until(deadline);
+                self.channels.iter_mut().try_for_each(|channel| channel.prepare(count, start_nm, read_noise_e))?;
+                joint.fit(&mut self.channels, &mut self.results[..count], &control)
+            }
+            None => {
+                let channel = &mut self.channels[0];
+                channel.fit(count, start_nm, read_noise_e, deadline)?;
+                channel.results().iter().zip(&mut self.results).for_each(|(image, result)| result.take(image));
+                Ok(())
+            }
+        }
     }
 
     /// The result of each group of the last fit; none after a fit that failed.
@@ -170,9 +183,9 @@ impl Session {
     ///
     /// # Errors
     /// [`Error::Value`] for a group that was not fitted or that no mode changes, and unless the
-    /// fits of several channels converged.
+    /// fit of several channels converged.
     pub fn refine(&self, group: usize) -> Result<RefinedGroup> {
-        if self.combiner.is_none() {
+        if self.joint.is_none() {
             let channel = &self.channels[0];
             let covariance_nm2 = channel.covariance_nm2(group)?;
             let coefficients_nm = channel.results()[group].coefficients_nm.clone();
@@ -180,7 +193,7 @@ impl Session {
         }
         if !self.results().get(group).is_some_and(|result| result.status.has_converged()) {
             return Err(Error::Value(format!(
-                "group {group} has no joint result, which needs fits of all channels that converged; the last fit was of {} groups: fit \
+                "group {group} has no joint result, which needs a fit of all channels that converged; the last fit was of {} groups: fit \
                  them first",
                 self.fitted
             )));
@@ -190,7 +203,7 @@ impl Session {
             self.fitters.iter().map(|(_, fitter)| fitter.model.optics.parts().wavelength_nm).collect();
         let own: Vec<&ModalFitter> = self.fitters.iter().map(|(_, fitter)| &**fitter).collect();
         let together = |near_nm: &[f64]| {
-            let fits = self.channels.iter().map(|channel| vec![channel.fits()[group].clone()]);
+            let fits = self.channels.iter().map(|channel| vec![channel.unfitted(group)]);
             refined(scene, &own, fits.collect(), near_nm)
         };
         if !are_determined(&wavelengths_nm)
@@ -199,7 +212,7 @@ impl Session {
             return Ok(joint.into());
         }
         let found = self.channels.iter().map(|channel| {
-            let fitted = FittedCube::from_fits(vec![channel.fits()[group].clone()]);
+            let fitted = FittedCube::from_fits(vec![channel.fitted_alone(group)?]);
             combine(channel.fitter(), fitted, false).map_err(|error| error.of_channel(channel.name()))
         });
         let found = found.collect::<Result<Vec<_>>>()?;
@@ -271,50 +284,22 @@ impl Session {
         self.fitted = 0;
         self.channels.iter_mut().for_each(SessionChannel::discard_results);
     }
-
-    /// Writes the result of a group whose images were fitted.
-    fn combine(&mut self, group: usize) {
-        let (result, channels) = (&mut self.results[group], &self.channels);
-        let images = channels.iter().map(|channel| &channel.results()[group]);
-        result.seconds = images.clone().map(|image| image.seconds).sum();
-        result.status = *Status::worst(images.map(|image| &image.report.status));
-        result.disagreement = (f64::NAN, 0.0);
-        match &mut self.combiner {
-            None => result.coefficients_nm.copy_from_slice(&channels[0].results()[group].coefficients_nm),
-            Some(combiner) if result.status.has_converged() => {
-                let fits = channels.iter().map(|channel| FittedChannel {
-                    fitter: channel.fitter(),
-                    fit: &channel.fits()[group],
-                    result: &channel.results()[group],
-                });
-                result.disagreement = combiner.combine(fits, &mut result.coefficients_nm, &mut result.sigma_nm);
-            }
-            Some(_) => {
-                result.coefficients_nm.fill(f64::NAN);
-                result.sigma_nm.fill(f64::NAN);
-            }
-        }
-        result.is_contradictory = contradict(result.disagreement);
-    }
 }
 
-/// Refuses channels whose fits cannot be combined in real time.
-fn check_combination(fitters: &ChannelFitters) -> Result<()> {
-    for (name, fitter) in fitters.iter() {
-        if fitter.recipe.weighting != Weighting::Noise {
-            return Err(Error::Scene(format!(
-                "{}: a session of several channels needs estimate.weighting = \"noise\", by which they are weighed against each other",
-                fitter.scene.name()
-            )));
-        }
-        if !has_diversity(&fitter.scene.image) {
-            return Err(Error::Scene(format!(
-                "{}: the channel '{name}' is in focus, where an image does not determine the signs of even aberrations and a fit in real \
-                 time would end in one of many minima: leave it out, or give this scene to the full pipeline ('cophase estimate', \
-                 pipeline::Estimator, cophase_estimator_create)",
-                fitters.scene().name(),
-            )));
-        }
+/// Refuses channels that cannot be fitted together in real time.
+fn check_channels(fitters: &ChannelFitters) -> Result<()> {
+    if let Some((_, fitter)) = fitters.iter().find(|(_, fitter)| fitter.recipe.weighting != Weighting::Noise) {
+        return Err(Error::Scene(format!(
+            "{}: a session of several channels needs estimate.weighting = \"noise\", by which they are weighed against each other",
+            fitter.scene.name()
+        )));
+    }
+    if !fitters.iter().any(|(_, fitter)| has_diversity(&fitter.scene.image)) {
+        return Err(Error::Scene(format!(
+            "{}: all channels are in focus, where images do not determine the signs of even aberrations: one that is defocused \
+             (diversity_focus_waves_rms) or has a known shape of the mirror (diversity_file) is needed",
+            fitters.scene().name(),
+        )));
     }
     Ok(())
 }

@@ -4,7 +4,7 @@
 use super::pairs::{add_scaled, dot};
 use crate::{Error, Result};
 use cophase_numerics::decompositions::{SymmetricEigen, symmetric_eigen, unit_scale};
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2};
 use pulp::{Arch, NullaryFnOnce};
 
 /// Largest accepted asymmetry of a Gauss-Newton matrix relative to its largest entry. Accumulating
@@ -73,6 +73,16 @@ impl Metric {
         let whitening =
             Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[[i, n - 1 - k]] / values[n - 1 - k].sqrt());
         Ok(Metric { dimension: n, whitening: Some(whitening), whitened: true })
+    }
+
+    /// The metric with the given factor, `[x, z]`, of full column rank.
+    pub(crate) fn of_whitening(whitening: Array2<f64>) -> Self {
+        Metric { dimension: whitening.nrows(), whitening: Some(whitening), whitened: true }
+    }
+
+    /// The factor, to be replaced.
+    pub(crate) fn whitening_mut(&mut self) -> Option<ArrayViewMut2<'_, f64>> {
+        self.whitening.as_mut().map(|whitening| whitening.view_mut())
     }
 
     /// Length of x.

@@ -106,6 +106,11 @@ impl QuasiNewton {
         })
     }
 
+    /// The metric, in whose place another one is until the next problem.
+    pub(crate) fn replace_metric(&mut self, other: &Arc<Metric>) -> Arc<Metric> {
+        std::mem::replace(&mut self.metric, other.clone())
+    }
+
     /// Starts another problem, from `start`, in the same memory. Its coordinates are those of
     /// `metric` with every length multiplied by `scale` (positive): for an objective with `scale`⁻²
     /// times the curvature of the metric's.

@@ -3,6 +3,7 @@
 use crate::channels::{COLOURS, PAIR, with_channels};
 use crate::common::assert_facts;
 use cophase::Error;
+use cophase::imaging::{Choice, Precision};
 use cophase::modal::{
     Accumulator, ChannelFitters, FitOptions, GroupResult, ImageResult, ModalFitter, Session, SessionOptions, Status,
 };
@@ -71,9 +72,9 @@ fn refines_to(session: &Session, estimate: &Estimate) {
     assert!(refined.integers.iter().zip(&estimate.integers).all(|(a, b)| a.integer == b.integer));
 }
 
-/// A pair with its defocus known and known to 1 %, and two colours: the weights at the flat
-/// wavefront move the estimate by a small part of its error bar, which is itself a few per cent
-/// off; of wavefronts of 64 nm and some 40 nm.
+/// A pair with its defocus known and known to 1 %, and two colours: one objective, from two starts,
+/// but for the prior of the estimate. The error bars of the flat wavefront are a few per cent off;
+/// of wavefronts of 64 nm and some 40 nm.
 #[test]
 fn a_session_agrees_with_the_estimate() {
     for (channels, error) in [(PAIR, "0"), (PAIR, "0.01"), (COLOURS, "0")] {
@@ -88,16 +89,61 @@ fn a_session_agrees_with_the_estimate() {
         let fit = result(&session);
         assert!(matches!(fit.status, Status::Ok | Status::Misfit) && !fit.is_contradictory, "{:?}", fit.disagreement);
         let (off, ratios) = agreement(&session, &found);
-        println!("{error}: off {off:.3} σ, ratios {ratios:?}, χ² {:?}", fit.disagreement);
-        assert!(off < 0.25, "{off}");
+        assert!(off < 0.05, "{off}");
         assert!(ratios[0] > 0.85 && ratios[1] < 1.15, "{ratios:?}");
-        // A session fits each image alone, and refines to the fit of all.
-        let alone = estimate(&scene.with(&[("estimate.group", "each")]).unwrap(), &images);
-        for (image, fit) in alone.images.iter().zip(fits(&session)) {
-            assert_eq!(image.report.evaluations, fit.report.evaluations);
-        }
         refines_to(&session, &found);
         assert!(session.warnings().is_empty(), "{:?}", session.warnings());
+    }
+}
+
+/// Images that do not determine the wavefront one by one: a pair of a fifth of a wave, and an image
+/// in focus beside a pair.
+#[test]
+fn weak_diversities_are_fitted_together() {
+    let weak = PAIR.replace("-0.8", "-0.2");
+    let with_focus = format!("[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n{PAIR}");
+    for (channels, settings) in [(weak, [("image.diversity_focus_waves_rms", "0.2")].as_slice()), (with_focus, &[])] {
+        let scene = with_channels(&channels, settings);
+        let images = Images::simulated(&scene).unwrap();
+        let mut session = session(&scene, &images);
+        session.fit(1, &FitOptions::default()).unwrap();
+        let (found, fit) = (estimate(&scene, &images), result(&session));
+        let (off, ratios) = agreement(&session, &found);
+        assert!(off < 0.05 && !fit.is_contradictory, "{off} {:?}", fit.disagreement);
+        assert!(ratios[0] > 0.85 && ratios[1] < 1.15, "{ratios:?}");
+        refines_to(&session, &found);
+    }
+}
+
+/// Two groups, on two threads and on each device: the fits of one thread of the CPU, to the
+/// rounding of another chain and the step at which fits end.
+#[test]
+fn groups_are_the_same_on_threads_and_devices() {
+    let scene = with_channels(PAIR, &[]);
+    let other = scene.with(&[("aberrations.seed", "77")]).unwrap();
+    let groups = [&scene, &other].map(|scene| Images::simulated(scene).unwrap());
+    let fitters = ChannelFitters::new(&scene).unwrap();
+    let fitted = |options: SessionOptions| {
+        let mut session = Session::new(fitters.clone(), &SessionOptions { capacity: 2, ..options }).unwrap();
+        groups.iter().enumerate().for_each(|(group, images)| write(&mut session, group, images));
+        session.fit(2, &FitOptions::default()).unwrap();
+        session.results().to_vec()
+    };
+    let expected = fitted(SessionOptions::default());
+    let on_two = fitted(SessionOptions { threads: 2, ..SessionOptions::default() });
+    for (found, expected) in on_two.iter().zip(&expected) {
+        assert_eq!((&found.coefficients_nm, &found.sigma_nm), (&expected.coefficients_nm, &expected.sigma_nm));
+    }
+    for info in cophase::device::devices().unwrap_or_default() {
+        for (precision, most) in [(Precision::F64, 0.01), (Precision::F32, 0.05)] {
+            let device = Some(Choice::OpenClAt(info.platform, info.device));
+            let found = fitted(SessionOptions { device, precision: Some(precision), ..SessionOptions::default() });
+            for (found, expected) in found.iter().zip(&expected) {
+                let modes = found.coefficients_nm.iter().zip(&expected.coefficients_nm).zip(&expected.sigma_nm);
+                let off = modes.map(|((a, b), sigma)| (a - b).abs() / sigma).fold(0.0, f64::max);
+                assert!(found.status == expected.status && off < most, "{precision:?} {:?} {off}", found.status);
+            }
+        }
     }
 }
 
@@ -226,8 +272,8 @@ fn channels_without_a_session_are_refused_with_the_reason() {
         let session = ChannelFitters::new(scene).and_then(|fitters| Session::new(fitters, &SessionOptions::default()));
         assert_facts(&session.err().unwrap().to_string(), words);
     };
-    let focus = format!("{PAIR}[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n");
-    refused(&with_channels(&focus, &[]), "channel 'focus' | in focus");
+    let focus = PAIR.replace("minus\"\ndiversity_focus_waves_rms = -0.8", "minus\"");
+    refused(&with_channels(&focus, &[("image.diversity_focus_waves_rms", "0.0")]), "all channels are in focus");
     refused(&with_channels(PAIR, &[("estimate.weighting", "none")]), "estimate.weighting = \"noise\"");
     refused(&with_channels(PAIR, &[("estimate.fit_optics", "[\"defocus\"]")]), "estimate.fit_optics");
     let mut pair =

@@ -1,7 +1,7 @@
 classdef Session < cophase.Handle
     %SESSION  Fits of images with a model, in memory that is allocated when the session is created.
-    %   A frame of each channel of the model is a group, which sees one wavefront: an image of a model with one channel. Each
-    %   is fitted by itself, and the fits of several channels are combined.
+    %   A frame of each channel of the model is a group, which sees one wavefront: an image of a model with one channel. The
+    %   frames of a group are fitted together, with the modes in common and each its own tip, tilt, flux and background.
     %
     %   s = cophase.Session(model) follows the policy 'realtime': no modes with a prior, no outlier rejection, no restarts;
     %   cophase.Estimator is the full pipeline. The model may be deleted afterwards.
@@ -77,8 +77,9 @@ classdef Session < cophase.Handle
             %   and is_used, is_clipped, which are 0 with one channel.
             %
             %   Of several channels, frames is a struct with a field for each, named like it, or a cell in the order of
-            %   s.channels. The coefficients of a group are the modes that they have in common, NaN unless the fits of all
-            %   converged; report is channels x count. [c, report, group] = s.fit(frames) also returns a struct for each group:
+            %   s.channels. The coefficients of a group are the modes that they have in common, NaN unless all its frames can be
+            %   used and the fit converged; report is channels x count. [c, report, group] = s.fit(frames) also returns a
+            %   struct for each group:
             %      status            the worst of its images
             %      sigma_nm          error bars (1 sigma) of the coefficients, in a column: those of a flat wavefront with
             %                        the flux and the noise of the frames; NaN with one channel, see refine
@@ -154,10 +155,10 @@ classdef Session < cophase.Handle
         function [coefficients_nm, covariance_nm2, group] = refine(self, group)
             %REFINE  Coefficients with their covariance.
             %   [c, C] = s.refine(k) returns the coefficients, nm, of group k of the last fit, which is image k with one channel,
-            %   and their covariance, nm^2; of the first by default. With one channel the covariance is that of the noise. The
-            %   fits of several channels are combined by their information at the fitted wavefronts, and the whole wavelengths
-            %   of pistons found: the estimate of a cophase.Estimator with the policy 'realtime'. It takes as long as some
-            %   hundred evaluations of each channel.
+            %   and their covariance, nm^2; of the first by default. With one channel the covariance is that of the noise. Of
+            %   several channels it is from the information at the fitted wavefront, with the whole wavelengths of pistons
+            %   found: the estimate of a cophase.Estimator with the policy 'realtime'. It takes as long as some hundred
+            %   evaluations of each channel.
             %
             %   [c, C, group] = s.refine(k) also returns a struct as fit does, without sigma_nm, with the smallest probability
             %   of the whole wavelengths in group.piston_probability.

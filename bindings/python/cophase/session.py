@@ -32,10 +32,10 @@ class Fit:
     Attributes
     ----------
     coefficients_nm : (modes,) or (groups, modes) array
-        nm of wavefront; NaN for an unusable image. Of several channels the modes that they have in common; NaN unless the fits of
-        all channels converged.
+        nm of wavefront; NaN for an unusable image. Of several channels the modes that they have in common; NaN unless all frames can
+        be used and the fit converged.
     sigma_nm : array of the shape of the coefficients, or None
-        Error bars (1 sigma) of the common modes of several channels, with their weights those of a flat wavefront with the flux and
+        Error bars (1 sigma) of the common modes of several channels, from the information at a flat wavefront with the flux and
         the noise of the frames. None with one channel: :meth:`Session.refine` has its covariance.
     reports : () or (groups,), with several channels (channels,) or (groups, channels) record array
         Of each image: ``status``, a number (:attr:`image_status` has its name); ``bad_pixels``, those that were marked; ``policy``, a
@@ -320,10 +320,9 @@ class Session(Handle):
         """Result of a group of the last fit, which is an image with one channel, with its covariance.
 
         It takes as long as some hundred evaluations of each channel. With one channel the covariance is the noise's, scaled by the
-        image's chi-square where the model misfits. The fits of several channels are combined by their information at the fitted
-        wavefronts, and the whole wavelengths of pistons found: the estimate of :class:`cophase.Estimator` with the policy
-        ``"realtime"``. :class:`cophase.BadValueError` for a group that was not fitted, and unless the fits of several channels
-        converged.
+        image's chi-square where the model misfits. Of several channels it is from the information at the fitted wavefront, with the
+        whole wavelengths of pistons found: the estimate of :class:`cophase.Estimator` with the policy ``"realtime"``.
+        :class:`cophase.BadValueError` for a group that was not fitted, and unless the fit of several channels converged.
         """
         modes = self.model.modes
         coefficients_nm, covariance_nm2 = np.empty(modes), np.empty((modes, modes))

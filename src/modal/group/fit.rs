@@ -9,7 +9,7 @@ use crate::modal::combine::pistons;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::member::{Member, chain_with_amplitude};
 use crate::modal::group::prior::Prior;
-use crate::modal::group::unknowns::Unknowns;
+use crate::modal::group::unknowns::{Amplitude, Unknowns};
 use crate::modal::solve::engine::{FitState, ImageFit, reason_of_none};
 use crate::modal::solve::minimum::Minimum;
 use crate::modal::solve::runner::{APPROACH, APPROACH_STEPS, REWEIGHTING_STEPS, settings};
@@ -146,7 +146,8 @@ impl<'a> Group<'a> {
             members.iter().map(|member| member.fitter.model.optics.parts().wavelength_nm).collect();
         let range_nm = members[0].fitter.scene.modes.piston_range_nm;
         let prior = Prior::new(model, tilts.clone(), are_determined(&wavelengths_nm).then_some(range_nm));
-        let unknowns = Unknowns::new(model.optics.modes(), has_amplitude, tilts, members.len());
+        let amplitude = if has_amplitude { Amplitude::Coefficient } else { Amplitude::Known };
+        let unknowns = Unknowns::new(model.optics.modes(), amplitude, tilts, members.len());
         // Of a step of the own tips and tilts the mean over the images counts.
         let own = 1.0 / members.len() as f64;
         let mut step_weights = vec![own; unknowns.count()];

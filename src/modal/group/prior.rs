@@ -36,7 +36,7 @@ const FLAT_NM: f64 = 1e4;
 
 /// Priors of all modes.
 #[derive(Debug, Clone)]
-pub(super) struct Prior {
+pub(in crate::modal) struct Prior {
     sets: Vec<Set>,
     /// Relative standard deviation of each mode.
     relative: Array1<f64>,
@@ -56,7 +56,7 @@ struct Set {
 
 impl Prior {
     /// The prior before the images say more; `piston_range_nm` where they show whole wavelengths.
-    pub(super) fn new(model: &Model, tilts: Array2<f64>, piston_range_nm: Option<f64>) -> Self {
+    pub(in crate::modal) fn new(model: &Model, tilts: Array2<f64>, piston_range_nm: Option<f64>) -> Self {
         let wavelength_nm = model.optics.parts().wavelength_nm;
         let (segment_modes, modes) = (model.segment_modes, model.optics.modes());
         let of_a_motion = model.pistons().max(1);
@@ -95,7 +95,7 @@ impl Prior {
     }
 
     /// Inverse covariance of the first of `unknowns`, the modes, nm⁻²; 0 for the others.
-    pub(super) fn precision(&self, unknowns: usize) -> Array2<f64> {
+    pub(in crate::modal) fn precision(&self, unknowns: usize) -> Array2<f64> {
         self.precision_but(unknowns, 0..0)
     }
 

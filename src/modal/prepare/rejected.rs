@@ -5,13 +5,25 @@
 const MAX_SHARE: f64 = 0.1;
 
 /// Rejected pixels of a prepared frame, in memory that is allocated with it.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(in crate::modal) struct Rejected {
     /// Of which the first `count` are some.
     pixels: Vec<u32>,
     count: usize,
     /// Floor of pixels that are not bad, e².
     floor_e2: f64,
+}
+
+impl Clone for Rejected {
+    fn clone(&self) -> Self {
+        Self { pixels: self.pixels.clone(), ..*self }
+    }
+
+    /// Without another allocation where the frames have one size.
+    fn clone_from(&mut self, source: &Self) {
+        self.pixels.clone_from(&source.pixels);
+        (self.count, self.floor_e2) = (source.count, source.floor_e2);
+    }
 }
 
 impl Rejected {

@@ -5,7 +5,7 @@ use super::super::fitter::ModalFitter;
 use super::super::prepare::{Frame, Preparation, PreparedFrame, Preparer, Refusal, Ringing};
 use super::options::{ImageResult, SessionOptions, write_start};
 use crate::control::Control;
-use crate::imaging::Chain;
+use crate::imaging::{Chain, Precision};
 use crate::modal::assess::image_covariances::ImageCovariances;
 use crate::modal::assess::residual::variance;
 use crate::modal::assess::status::{ImageReport, Status, assess};
@@ -13,7 +13,8 @@ use crate::modal::assess::tilts::Tilts;
 use crate::modal::combine::global_motions::GlobalMotions;
 use crate::modal::combine::pistons;
 use crate::modal::model::recipe::Recipe;
-use crate::modal::solve::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
+use crate::modal::prepare::rejection::weigh_dead;
+use crate::modal::solve::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit, check_usable};
 use crate::optimize::StopReason;
 use crate::scene::Optimizer;
 use crate::{Error, Result};
@@ -25,20 +26,26 @@ use std::time::Instant;
 /// A channel of a [`Session`](super::Session): its frames, and the fits of the last call.
 pub struct SessionChannel {
     name: String,
-    shared: Shared,
+    pub(super) shared: Shared,
     frames: Vec<FrameBuffer>,
-    fits: Vec<ImageFit>,
+    pub(super) fits: Vec<ImageFit>,
+    /// Images as they were prepared for a fit with those of other channels; none where there are
+    /// none.
+    originals: Vec<PreparedFrame>,
     results: Vec<ImageResult>,
     pub(super) engine: Box<dyn Engine>,
+    pub(super) precision: Precision,
     device: String,
     /// Number of images of the last fit, and of those loaded for an evaluation.
     fitted: usize,
     loaded: usize,
+    /// Numbers of all images.
+    numbers: Vec<usize>,
 }
 
 /// Data that all images of a channel share.
-struct Shared {
-    fitter: Arc<ModalFitter>,
+pub(super) struct Shared {
+    pub(super) fitter: Arc<ModalFitter>,
     /// Recipe of the fitter, with the session's own limits.
     recipe: Recipe,
     tilts: Tilts,
@@ -54,15 +61,16 @@ struct FrameBuffer {
 
 impl SessionChannel {
     /// Allocates all memory, and computes the metrics of `fitter` where it has none yet (about a
-    /// second for a large model). `control` is that of the session.
+    /// second for a large model). `control` is that of the session, which has other channels or
+    /// not.
     ///
     /// # Errors
     /// As [`Session::new`](super::Session::new).
     pub(super) fn new(
-        name: &str,
-        fitter: Arc<ModalFitter>,
+        (name, fitter): (&str, Arc<ModalFitter>),
         options: &SessionOptions,
         control: Control,
+        has_others: bool,
     ) -> Result<Self> {
         FrameBuffer::check_capacity(&fitter, options.capacity)?;
         let mut recipe = fitter.recipe.clone();
@@ -83,6 +91,7 @@ impl SessionChannel {
         let precision = options.precision.unwrap_or(scene.precision().into());
         let device = options.device.unwrap_or(scene.device.into());
         let chain = Chain::open(optics, device, precision, options.capacity)?;
+        let precision = chain.precision();
         let device = chain.device_name();
         let engine = shared.engine(chain, options)?;
         let (preparation, modes) = (shared.fitter.model.preparation, shared.modes());
@@ -93,8 +102,20 @@ impl SessionChannel {
             report: ImageReport::unfitted(Status::NotConverged(StopReason::Unfinished)),
             seconds: 0.0,
         };
-        let results = vec![result; options.capacity];
-        Ok(Self { name: name.into(), shared, frames, fits, results, engine, device, fitted: 0, loaded: 0 })
+        Ok(Self {
+            name: name.into(),
+            frames,
+            originals: if has_others { vec![preparation.empty(); options.capacity] } else { Vec::new() },
+            fits,
+            results: vec![result; options.capacity],
+            engine,
+            precision,
+            device,
+            fitted: 0,
+            loaded: 0,
+            numbers: (0..options.capacity).collect(),
+            shared,
+        })
     }
 
     /// Its name; empty for the only channel of a scene that lists none.
@@ -123,6 +144,16 @@ impl SessionChannel {
         Some((frame.data_e.view_mut(), frame.bad.view_mut()))
     }
 
+    /// Most images of a call.
+    pub(super) fn capacity(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// The recipe of the fits.
+    pub(super) fn recipe(&self) -> &Recipe {
+        &self.shared.recipe
+    }
+
     /// Discards the results of the last fit.
     pub(super) fn discard_results(&mut self) {
         self.fitted = 0;
@@ -146,29 +177,90 @@ impl SessionChannel {
             write_start(&mut fit.start_nm, start_nm.as_ref().map(|start_nm| start_nm.row(image)));
         }
         let control = self.shared.control.silent().until(deadline);
-        let task = self.shared.task(&control);
         let prepare = prepare(&self.frames, &self.shared.recipe, self.shared.read_noise_e(read_noise_e));
-        let outcome = self.engine.fit(&task, &prepare, &mut self.fits[..count]);
-        if let Err(Error::Interrupted(_)) = outcome {
-            self.shared.control.acknowledge();
-            return Err(interrupted());
-        }
-        outcome?;
+        self.engine.fit(&self.shared.task(&control), &prepare, &mut self.fits[..count]).map_err(
+            |error| match error {
+                Error::Interrupted(_) => interrupted(),
+                other => other,
+            },
+        )?;
+        self.fitted = count;
         for (fit, result) in self.fits[..count].iter_mut().zip(&mut self.results) {
             self.shared.report(fit, result);
         }
-        self.fitted = count;
         Ok(())
+    }
+
+    /// Prepares frames 0 to `count` − 1 for a fit with those of other channels, from the rows of
+    /// `start_nm`.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where a device fails.
+    pub(super) fn prepare(
+        &mut self,
+        count: usize,
+        start_nm: Option<ArrayView2<f64>>,
+        read_noise_e: Option<f64>,
+    ) -> Result<()> {
+        (self.fitted, self.loaded) = (count, 0);
+        for (image, fit) in self.fits[..count].iter_mut().enumerate() {
+            write_start(&mut fit.start_nm, start_nm.as_ref().map(|start_nm| start_nm.row(image)));
+            fit.seconds = 0.0;
+        }
+        let recipe = &self.shared.recipe;
+        let prepare = prepare(&self.frames, recipe, self.shared.read_noise_e(read_noise_e));
+        let weighed = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
+            prepare(index, preparer, prepared)?;
+            if recipe.reject_outliers {
+                weigh_dead(prepared);
+            }
+            Ok(())
+        };
+        self.engine.load(&self.shared.task(&self.shared.control), &weighed, &mut self.fits[..count])?;
+        self.fits[..count].iter().zip(&mut self.originals).for_each(|(fit, original)| {
+            original.clone_from(&fit.prepared);
+        });
+        Ok(())
+    }
+
+    /// Whether an image is prepared and not yet fitted.
+    pub(super) fn is_member(&self, image: usize) -> bool {
+        self.fits[image].state == FitState::NotBegun
+    }
+
+    /// Writes the result of an image from its fit.
+    pub(super) fn report(&mut self, image: usize) {
+        self.shared.report(&mut self.fits[image], &mut self.results[image]);
+    }
+
+    /// An image of the last fit as it was prepared, not fitted.
+    pub(super) fn unfitted(&self, image: usize) -> ImageFit {
+        let (fit, prepared) = (self.fits[image].clone(), self.originals[image].clone());
+        ImageFit { prepared, state: FitState::NotBegun, ..fit }
+    }
+
+    /// Fits an image of the last fit without those of other channels, from its start.
+    ///
+    /// # Errors
+    /// Those of the chain.
+    pub(super) fn fitted_alone(&self, image: usize) -> Result<ImageFit> {
+        let mut fit = self.unfitted(image);
+        let prepared = fit.prepared.clone();
+        let control = self.shared.control.silent();
+        CpuEngine::new(&*self.shared.fitter.reference, Some(1)).fit(
+            &self.shared.task(&control),
+            &|_, _, out| {
+                out.clone_from(&prepared);
+                Ok(())
+            },
+            std::slice::from_mut(&mut fit),
+        )?;
+        Ok(fit)
     }
 
     /// The result of each image of the last fit; none after a fit that failed.
     pub fn results(&self) -> &[ImageResult] {
         &self.results[..self.fitted]
-    }
-
-    /// The fits of the last call, one per image.
-    pub(super) fn fits(&self) -> &[ImageFit] {
-        &self.fits[..self.fitted]
     }
 
     /// Covariance of the coefficients of an image of the last fit, nm², `[mode, mode]`, pistons
@@ -195,7 +287,7 @@ impl SessionChannel {
     /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It
     /// evaluates the model once more.
     pub fn fitted_image(&self, image: usize) -> Option<FittedImage> {
-        let fit = self.fits().get(image).filter(|fit| fit.is_fitted())?;
+        let fit = self.fits[..self.fitted].get(image).filter(|fit| fit.is_fitted())?;
         Some(fitted_image(&self.shared.fitter, &fit.minimum, &fit.prepared))
     }
 
@@ -209,6 +301,7 @@ impl SessionChannel {
         let task = self.shared.task(&self.shared.control);
         let prepare = prepare(&self.frames, &self.shared.recipe, self.shared.read_noise_e(read_noise_e));
         self.engine.load(&task, &prepare, &mut self.fits[..count])?;
+        check_usable(&self.fits[..count])?;
         self.loaded = count;
         Ok(())
     }
@@ -239,7 +332,7 @@ impl SessionChannel {
             let loaded = self.loaded;
             return Err(Error::Shape(format!("{count} images were to be evaluated, where {loaded} are loaded")));
         }
-        self.engine.evaluate(coefficients_nm, objectives, gradients)
+        self.engine.evaluate(&self.numbers[..count], coefficients_nm, objectives, gradients)
     }
 }
 
@@ -329,6 +422,6 @@ impl FrameBuffer {
     }
 }
 
-fn interrupted() -> Error {
+pub(super) fn interrupted() -> Error {
     Error::Interrupted("the fit was cancelled".into())
 }

@@ -110,18 +110,18 @@ pub(super) fn check_read_noise(given: Option<f64>) -> Result<()> {
 #[derive(Debug, Clone)]
 pub struct GroupResult {
     /// Every mode, nm, pistons about their mean over the pupil: in one channel those of its
-    /// [`ImageResult`]; in several the modes that they have in common, NaN unless the fits of all
-    /// converged.
+    /// [`ImageResult`]; in several the modes that they have in common, NaN unless all could be used
+    /// and the fit converged.
     pub coefficients_nm: Vec<f64>,
     /// Error bar of each mode of several channels, 1σ, nm: from the information at the flat
-    /// wavefront, scaled by the root of χ² where a channel's model misfits, and where the channels
-    /// contradict each other. Bad pixels are not left out. NaN in one channel:
+    /// wavefront, scaled by the root of the largest χ² where a channel's model misfits, or where
+    /// the channels contradict each other. Bad pixels are not left out. NaN in one channel:
     /// [`Session::refine`](super::Session::refine) has its covariance.
     pub sigma_nm: Vec<f64>,
     /// The worst status of the channels.
     pub status: Status,
-    /// Reduced χ² of the differences of the channels, where noise gives 1, and its degrees of
-    /// freedom; (NaN, 0) in one channel, and without coefficients.
+    /// Reduced χ² of the differences of the channels from the wavefront of all, where noise gives
+    /// 1, and its degrees of freedom; (NaN, 0) in one channel, and without coefficients.
     pub disagreement: (f64, f64),
     /// Whether the channels differ by more than their noise: one is flipped, of another wavelength
     /// or diversity than the scene says, or in another minimum.
@@ -141,6 +141,12 @@ impl GroupResult {
             is_contradictory: false,
             seconds: 0.0,
         }
+    }
+
+    /// Takes the result of the only image of the group.
+    pub(super) fn take(&mut self, image: &ImageResult) {
+        self.coefficients_nm.copy_from_slice(&image.coefficients_nm);
+        (self.status, self.seconds) = (image.report.status, image.seconds);
     }
 }
 
@@ -184,7 +190,8 @@ pub struct ImageResult {
     /// Status and figures of the fit. Past the deadline the status is [`Status::NotConverged`] with
     /// [`StopReason::DeadlineReached`]; an image that was not begun has no evaluations.
     pub report: ImageReport,
-    /// Wall-clock time of this image's fit; of a batch on a device, that of the batch.
+    /// Wall-clock time of this image's fit; of a batch on a device, that of the batch; of several
+    /// channels, its share of the time from the beginning of the call to the end of its group.
     pub seconds: f64,
 }
 

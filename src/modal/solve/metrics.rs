@@ -100,6 +100,12 @@ impl Metrics {
         if self.weighting == Weighting::None {
             return Ok((self.level(reference, 0)?, 1.0));
         }
+        let (level, flux_e) = self.level_and_flux(reference, image);
+        Ok((self.level(reference, level)?, flux_e.sqrt().recip()))
+    }
+
+    /// The level of the metric of an image, and the flux of its scale, electrons.
+    fn level_and_flux(&self, reference: &CpuChain<f64>, image: &PreparedFrame) -> (usize, f64) {
         let (flux_e, floor) = flux_and_floor(image);
         let relative = floor / flux_e;
         let peak = self.flat(reference).peak;
@@ -107,13 +113,12 @@ impl Metrics {
         let level = steps.clamp(0.0, (LEVELS - 1) as f64) as usize;
         // Beyond the first level the weights are uniform, and go as 1/f.
         let largest = Self::relative_floor(peak, 0);
-        let flux_e = if relative > largest { flux_e * largest / relative } else { flux_e };
-        Ok((self.level(reference, level)?, flux_e.sqrt().recip()))
+        (level, if relative > largest { flux_e * largest / relative } else { flux_e })
     }
 
     /// Levels between which an image of `flux_e` and the least variance `floor_e2` lies, with the
-    /// multiples of the inverses of [`Metrics::covariance`] that add up to the information of the
-    /// image on a flat wavefront. With α of the lower and 1 − α of the higher f/S the weights
+    /// multiples of [`Metrics::information`] that add up to the information of the image on a flat
+    /// wavefront. With α of the lower and 1 − α of the higher f/S the weights
     /// 1/(h + f) are right where h is 0 and where it is large; between the two they are up to 11 %
     /// too low.
     pub(in crate::modal) fn between(&self, reference: &CpuChain<f64>, flux_e: f64, floor_e2: f64) -> [(usize, f64); 2] {
@@ -135,13 +140,19 @@ impl Metrics {
         LEVELS
     }
 
-    /// Covariance of the modes from an image of the flat wavefront with the flux 1 at a level, nm².
+    /// Information on the modes of an image of the flat wavefront with the flux 1 at a level, per
+    /// nm²: without directions that are null by rounding.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where no mode changes the image.
-    pub(in crate::modal) fn covariance(&self, reference: &CpuChain<f64>, level: usize) -> Result<Array2<f64>> {
-        let whitening = self.level(reference, level)?.whitening().map(|whitening| whitening.to_owned());
-        Ok(whitening.map(|root| times_transposed(root.view(), root.view())).unwrap_or_default())
+    pub(in crate::modal) fn information(&self, reference: &CpuChain<f64>, level: usize) -> Result<Array2<f64>> {
+        let metric = self.level(reference, level)?;
+        // The columns are the eigenvectors over the roots of their eigenvalues.
+        let mut columns = metric.whitening().map(|columns| columns.to_owned()).unwrap_or_default();
+        for mut column in columns.columns_mut() {
+            column /= column.dot(&column);
+        }
+        Ok(times_transposed(columns.view(), columns.view()))
     }
 
     /// f/S of a level.
@@ -205,7 +216,7 @@ impl Metrics {
 /// Flux above the level in an image's good pixels, electrons (1 at the least), and the smallest
 /// variance of a pixel without the star. The metric ignores bad pixels: an image with many of them
 /// has coordinates that are a little less spherical.
-fn flux_and_floor(image: &PreparedFrame) -> (f64, f64) {
+pub(in crate::modal) fn flux_and_floor(image: &PreparedFrame) -> (f64, f64) {
     const LANES: usize = 8;
     let (mut flux, mut least) = ([0.0; LANES], [f64::INFINITY; LANES]);
     for (data, floor) in image.exposure.data_e.chunks(LANES).zip(image.floor_variance_e2.chunks(LANES)) {

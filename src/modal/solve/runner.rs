@@ -98,6 +98,11 @@ impl Runner {
         })
     }
 
+    /// The metric, in whose place another one is until the next fit.
+    pub(in crate::modal) fn replace_metric(&mut self, other: &Arc<Metric>) -> Arc<Metric> {
+        self.solver.replace_metric(other)
+    }
+
     /// Begins the fit of another image, in the coordinates that
     /// [`crate::modal::solve::metrics::Metrics::for_image`] gives it.
     ///
@@ -137,17 +142,36 @@ impl Runner {
     /// # Errors
     /// [`crate::Error::Value`] for a tolerance out of range.
     pub(in crate::modal) fn renew(&mut self, psf: &[f64], image: &mut PreparedFrame) -> Result<()> {
-        let photometry = if self.rejects {
-            let found;
-            (found, self.has_other_pixels) = reject(image, psf, |image| photometry(&image.exposure, psf));
-            found
+        let has_other_pixels = self.reweigh(psf, image);
+        self.has_renewed(has_other_pixels)
+    }
+
+    /// Renews the weights of an image from its PSF at the point; whether it has rejected other
+    /// pixels than before. [`Runner::has_renewed`] follows, once all images of a fit have theirs.
+    pub(in crate::modal) fn reweigh(&self, psf: &[f64], image: &mut PreparedFrame) -> bool {
+        let (found, has_other_pixels) = if self.rejects {
+            reject(image, psf, |image| photometry(&image.exposure, psf))
         } else {
-            photometry(&image.exposure, psf)
+            (photometry(&image.exposure, psf), false)
         };
-        reweigh(&mut image.exposure, psf, photometry, &image.floor_variance_e2);
+        reweigh(&mut image.exposure, psf, found, &image.floor_variance_e2);
+        has_other_pixels
+    }
+
+    /// Goes on with new weights, at the present point.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for a tolerance out of range.
+    pub(in crate::modal) fn has_renewed(&mut self, has_other_pixels: bool) -> Result<()> {
+        self.has_other_pixels = has_other_pixels;
         self.reweightings += 1;
         self.weighted_at.copy_from_slice(self.solver.point());
         self.set_tolerances()
+    }
+
+    /// Whether the weights are still those of the data's own noise.
+    pub(in crate::modal) fn has_first_weights(&self) -> bool {
+        self.reweightings == 0
     }
 
     /// Ends the fit: computes flux, background and χ² from the PSF at the point where the solver
@@ -178,11 +202,17 @@ impl Runner {
     /// Writes the minimum. Flux, background and χ² are those of the best point that was evaluated;
     /// the last step from there, where there is one, is below the tolerances.
     pub(in crate::modal) fn write(&self, minimum: &mut Minimum) {
-        let outcome = self.solver.outcome();
-        self.solver.write_solution(&mut minimum.coefficients_nm);
+        (minimum.evaluations, minimum.reason) = self.write_solution(&mut minimum.coefficients_nm);
         (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
-        (minimum.evaluations, minimum.reason) = (outcome.evaluations, outcome.reason);
         minimum.chi2 = self.chi2;
+    }
+
+    /// Writes where the fit ended, the last step, which is below the tolerances, included; the
+    /// number of evaluations and why it ended.
+    pub(in crate::modal) fn write_solution(&self, point: &mut [f64]) -> (usize, StopReason) {
+        self.solver.write_solution(point);
+        let outcome = self.solver.outcome();
+        (outcome.evaluations, outcome.reason)
     }
 
     /// Whether new weights could move the minimum by more than the step tolerance.

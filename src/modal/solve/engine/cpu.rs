@@ -1,7 +1,7 @@
 //! CPU engine: each thread fits one image after the other.
 
 use crate::Result;
-use crate::imaging::{CpuChain, LoadedImage, Polynomial, Precision};
+use crate::imaging::{CpuChain, Exposure, LoadedImage, Polynomial, Precision};
 use crate::modal::solve::engine::lane::FitLane;
 use crate::modal::solve::engine::task::{Engine, FitTask, ImageFit, Prepare, stop_if_cancelled};
 use ndarray::ArrayView2;
@@ -97,38 +97,35 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> Engine for CpuEngine<T
         places.into_iter().try_for_each(|(index, place)| lanes[0].load(chain, prepare, index, place))
     }
 
+    fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
+        self.chain.borrow().set(&mut self.loaded[image], exposure)
+    }
+
     fn evaluate(
         &mut self,
+        images: &[usize],
         coefficients_nm: ArrayView2<f64>,
         objectives: &mut [f64],
         gradients: &mut [f64],
     ) -> Result<()> {
-        let (chain, modes) = (self.chain.borrow(), coefficients_nm.ncols());
-        let one = |lane: &mut FitLane<T>,
-                   image: usize,
-                   loaded: &LoadedImage<T>,
-                   objective: &mut f64,
-                   gradient: &mut [f64]| {
-            let found = lane.evaluate(chain, loaded, coefficients_nm.row(image));
-            *objective = found.objective;
-            gradient.copy_from_slice(&found.gradient);
+        let (chain, modes, all) = (self.chain.borrow(), coefficients_nm.ncols(), &self.loaded);
+        let some = |lane: &mut FitLane<T>, first: usize, images: &[usize], outputs: (&mut [f64], &mut [f64])| {
+            let outputs = outputs.0.iter_mut().zip(outputs.1.chunks_exact_mut(modes));
+            for ((row, &image), (objective, gradient)) in (first..).zip(images).zip(outputs) {
+                let found = lane.evaluate(chain, &all[image], coefficients_nm.row(row));
+                *objective = found.objective;
+                gradient.copy_from_slice(&found.gradient);
+            }
         };
         let lanes = self.lanes.get_mut().unwrap_or_else(PoisonError::into_inner);
         if let [lane] = lanes.as_mut_slice() {
-            let places = self.loaded.iter().zip(objectives).zip(gradients.chunks_exact_mut(modes)).enumerate();
-            places.for_each(|(image, ((loaded, objective), gradient))| one(lane, image, loaded, objective, gradient));
+            some(lane, 0, images, (objectives, gradients));
             return Ok(());
         }
-        let count = objectives.len();
-        let share = count.div_ceil(lanes.len()).max(1);
+        let share = images.len().div_ceil(lanes.len()).max(1);
         let outputs = objectives.par_chunks_mut(share).zip(gradients.par_chunks_mut(share * modes));
-        let shares = self.loaded[..count].par_chunks(share).zip(outputs).zip(lanes);
-        shares.enumerate().for_each(|(of, ((loaded, (objectives, gradients)), lane))| {
-            let places = loaded.iter().zip(objectives).zip(gradients.chunks_exact_mut(modes)).enumerate();
-            places.for_each(|(index, ((loaded, objective), gradient))| {
-                one(lane, of * share + index, loaded, objective, gradient);
-            });
-        });
+        let shares = images.par_chunks(share).zip(outputs).zip(lanes);
+        shares.enumerate().for_each(|(of, ((images, outputs), lane))| some(lane, of * share, images, outputs));
         Ok(())
     }
 }

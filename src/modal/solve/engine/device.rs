@@ -5,9 +5,7 @@ use crate::imaging::{Chain, Evaluation, Exposure};
 use crate::modal::prepare::rejection::weigh_dead;
 use crate::modal::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use crate::modal::solve::engine::cpu::CpuEngine;
-use crate::modal::solve::engine::task::{
-    Engine, FitState, FitTask, ImageFit, Prepare, interrupted, stop_if_cancelled, unusable,
-};
+use crate::modal::solve::engine::task::{Engine, FitState, FitTask, ImageFit, Prepare, interrupted, stop_if_cancelled};
 use crate::modal::solve::runner::{Next, Runner, settings};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2};
@@ -145,25 +143,25 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
 
     fn load(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {
         prepare_all(task, prepare, images);
-        let refused = images.iter().enumerate().find_map(|(index, image)| match image.state {
-            FitState::Refused(refusal) => Some(unusable(index, refusal)),
-            FitState::NotBegun | FitState::Fitted => None,
-        });
-        if let Some(error) = refused {
-            return Err(error);
-        }
-        let exposures: Vec<&Exposure> = images.iter().map(|image| &image.prepared.exposure).collect();
+        // In the place of one that cannot be used is another.
+        let Some(usable) = images.iter().find(|image| image.state == FitState::NotBegun) else { return Ok(()) };
+        let own = images.iter().map(|image| if image.state == FitState::NotBegun { image } else { usable });
+        let exposures: Vec<&Exposure> = own.map(|image| &image.prepared.exposure).collect();
         self.chain.borrow_mut().load(&exposures)
+    }
+
+    fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
+        self.chain.borrow_mut().replace_all(&[(image, exposure)])
     }
 
     fn evaluate(
         &mut self,
+        images: &[usize],
         coefficients_nm: ArrayView2<f64>,
         objectives: &mut [f64],
         gradients: &mut [f64],
     ) -> Result<()> {
-        let images: Vec<usize> = (0..coefficients_nm.nrows()).collect();
-        let found = self.chain.borrow_mut().evaluate(&images, coefficients_nm)?;
+        let found = self.chain.borrow_mut().evaluate(images, coefficients_nm)?;
         let outputs = objectives.iter_mut().zip(gradients.chunks_exact_mut(coefficients_nm.ncols()));
         for (found, (objective, gradient)) in found.iter().zip(outputs) {
             *objective = found.objective;

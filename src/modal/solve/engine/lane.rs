@@ -135,10 +135,16 @@ impl<T: Polynomial> FitLane<T> {
         index: usize,
         (image, loaded): (&mut ImageFit, &mut LoadedImage<T>),
     ) -> Result<()> {
-        image.state = FitState::NotBegun;
-        prepare(index, &mut self.preparer, &mut image.prepared)
-            .map_err(|refusal| crate::modal::solve::engine::task::unusable(index, refusal))?;
-        chain.set(loaded, &image.prepared.exposure)
+        match prepare(index, &mut self.preparer, &mut image.prepared) {
+            Ok(()) => {
+                image.state = FitState::NotBegun;
+                chain.set(loaded, &image.prepared.exposure)
+            }
+            Err(refusal) => {
+                image.state = FitState::Refused(refusal);
+                Ok(())
+            }
+        }
     }
 
     /// Objective and gradient of `loaded` at a point.
@@ -148,8 +154,12 @@ impl<T: Polynomial> FitLane<T> {
         loaded: &LoadedImage<T>,
         coefficients_nm: ArrayView1<f64>,
     ) -> &Evaluation {
-        chain.evaluate_one(loaded, coefficients_nm, &mut self.scratch, &mut self.evaluation);
-        self.psf_at_nm.fill(f64::NAN);
+        if coefficients_nm.iter().all(|&nm| nm == 0.0) {
+            chain.evaluate_flat(loaded, &mut self.flat, &mut self.evaluation);
+        } else {
+            chain.evaluate_one(loaded, coefficients_nm, &mut self.scratch, &mut self.evaluation);
+            self.psf_at_nm.fill(f64::NAN);
+        }
         &self.evaluation
     }
 }

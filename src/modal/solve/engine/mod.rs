@@ -13,4 +13,4 @@ mod task;
 pub(in crate::modal) use cpu::CpuEngine;
 pub(in crate::modal) use device::{DeviceEngine, prepare_frames};
 pub(in crate::modal) use dispatch::fit;
-pub(in crate::modal) use task::{Engine, FitState, FitTask, ImageFit, reason_of_none};
+pub(in crate::modal) use task::{Engine, FitState, FitTask, ImageFit, check_usable, reason_of_none};

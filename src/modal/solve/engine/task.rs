@@ -1,7 +1,7 @@
 //! Interface of the engines: the task, one image's fit, the trait.
 
 use crate::control::Control;
-use crate::imaging::CpuChain;
+use crate::imaging::{CpuChain, Exposure};
 use crate::modal::model::Model;
 use crate::modal::model::recipe::Recipe;
 use crate::modal::prepare::{Preparation, PreparedFrame, Preparer, Refusal};
@@ -91,6 +91,18 @@ impl ImageFit {
     }
 }
 
+/// The first of `images` that cannot be used.
+///
+/// # Errors
+/// [`Error::Image`].
+pub(in crate::modal) fn check_usable(images: &[ImageFit]) -> Result<()> {
+    let refused = images.iter().enumerate().find_map(|(image, fit)| match fit.state {
+        FitState::Refused(refusal) => Some((image, refusal)),
+        FitState::NotBegun | FitState::Fitted => None,
+    });
+    refused.map_or(Ok(()), |(image, refusal)| Err(Error::Image(format!("frame {image} cannot be used: {refusal}"))))
+}
+
 /// Why none of `fits` was made.
 pub(in crate::modal) fn reason_of_none<'a>(fits: impl IntoIterator<Item = &'a ImageFit>) -> String {
     let refused = fits.into_iter().find_map(|fit| match fit.state {
@@ -108,18 +120,27 @@ pub(in crate::modal) trait Engine: Send {
     /// [`Error::Interrupted`] where the flag was raised, and those of the chain.
     fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()>;
 
-    /// Prepares images for [`Engine::evaluate`], with the weights that a fit begins with.
+    /// Prepares images for [`Engine::evaluate`]: those that can be used are left as not begun, with
+    /// the weights that a fit begins with.
     ///
     /// # Errors
-    /// [`Error::Image`] for the first that cannot be used, and those of the chain.
+    /// Those of the chain.
     fn load(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()>;
 
-    /// Objectives and gradients of the loaded images at `coefficients_nm`, `[image, mode]`.
+    /// Replaces the weights of a loaded image.
+    ///
+    /// # Errors
+    /// Those of the chain.
+    fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()>;
+
+    /// Objectives and gradients of `images` that are loaded, by their numbers in ascending order,
+    /// at `coefficients_nm`, `[image, mode]`.
     ///
     /// # Errors
     /// Those of the chain.
     fn evaluate(
         &mut self,
+        images: &[usize],
         coefficients_nm: ArrayView2<f64>,
         objectives: &mut [f64],
         gradients: &mut [f64],
@@ -137,8 +158,4 @@ pub(super) fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -
 
 pub(super) fn interrupted(done: usize, count: usize) -> Error {
     Error::Interrupted(format!("{done} of {count} images were fitted"))
-}
-
-pub(super) fn unusable(image: usize, refusal: Refusal) -> Error {
-    Error::Image(format!("frame {image} cannot be used: {refusal}"))
 }
