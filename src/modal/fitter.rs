@@ -102,8 +102,8 @@ pub(super) fn refuse_group(scene: &System) -> Result<()> {
         // A session takes one image of each channel.
         Grouping::Auto | Grouping::Each | Grouping::Successive(1) => Ok(()),
         together => Err(Error::Scene(format!(
-            "estimate.group = {} fits images together, which a model and its sessions do not do: leave it out, or give this scene to the \
-             full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)",
+            "estimate.group = {} fits several images of a channel together, where a model and its sessions take one of each: leave it \
+             out, or give this scene to the full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)",
             together.shown()
         ))),
     }

@@ -83,7 +83,10 @@ impl Session {
             .iter()
             .map(|(name, fitter)| SessionChannel::new((name, fitter.clone()), options, control.clone(), is_joint))
             .collect::<Result<Vec<_>>>()?;
-        let joint = is_joint.then(|| JointFit::new(&fitters, &channels, &control)).transpose()?;
+        // On one thread nothing is gained by several at once, and a deadline leaves the last.
+        let is_alone = options.threads == 1 && channels.iter().all(|channel| channel.device_name() == "cpu");
+        let at_once = if is_alone { 1 } else { options.capacity };
+        let joint = is_joint.then(|| JointFit::new(&fitters, &channels, at_once, &control)).transpose()?;
         let results = vec![GroupResult::new(fitters.first().model.optics.modes()); options.capacity];
         Ok(Self { fitters, channels, joint, control, results, fitted: 0 })
     }

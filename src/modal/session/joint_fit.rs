@@ -9,7 +9,8 @@
 //! image. Some channels join with the second weights: those in focus or with less than half a wave
 //! of diversity, whose own objective has many minima, where there are others; and those of another
 //! wavelength than the first of these, because pistons beyond half a wavelength are right by one
-//! wavelength and not by two. The groups of a call advance in lock-step, each by itself.
+//! wavelength and not by two. The groups of a call advance in lock-step, each by itself, on one
+//! thread one after the other.
 
 use super::channel::{SessionChannel, interrupted};
 use super::channel_fitters::ChannelFitters;
@@ -30,6 +31,7 @@ use crate::modal::solve::metrics::flux_and_floor;
 use crate::modal::solve::runner::{Next, Runner, settings};
 use crate::optimize::{Metric, StopReason};
 use ndarray::{Array2, ArrayViewMut1, s};
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -54,8 +56,9 @@ pub(super) struct JointFit {
     objectives: Vec<f64>,
     /// Of each channel, for PSFs in double precision.
     scratch: Vec<Scratch<f64>>,
-    /// Groups that advance, in ascending order.
+    /// Groups that advance, in ascending order, and how many at once.
     active: Vec<usize>,
+    at_once: usize,
     /// Unknowns of one group.
     point: Vec<f64>,
     /// Metric of a runner while its own is written.
@@ -63,11 +66,17 @@ pub(super) struct JointFit {
 }
 
 impl JointFit {
-    /// Memory for groups of one frame of each of `channels`, as many as these have.
+    /// Memory for groups of one frame of each of `channels`, as many as these have, `at_once` of
+    /// which advance together.
     ///
     /// # Errors
     /// As [`GroupInformation::new`]; those of [`is_weak`].
-    pub(super) fn new(fitters: &ChannelFitters, channels: &[SessionChannel], control: &Control) -> Result<Self> {
+    pub(super) fn new(
+        fitters: &ChannelFitters,
+        channels: &[SessionChannel],
+        at_once: usize,
+        control: &Control,
+    ) -> Result<Self> {
         let is_weak = fitters.iter().map(|(_, fitter)| is_weak(&fitter.scene)).collect::<Result<Vec<_>>>()?;
         let information = GroupInformation::new(fitters, &is_weak)?;
         let (model, modes, capacity) =
@@ -102,6 +111,7 @@ impl JointFit {
             objectives: vec![0.0; capacity],
             scratch: channels.iter().map(|channel| channel.fitter().reference.scratch()).collect(),
             active: Vec::with_capacity(capacity),
+            at_once,
             point: vec![0.0; count],
             idle: Arc::new(information.empty_metric()),
             information,
@@ -119,22 +129,32 @@ impl JointFit {
         results: &mut [GroupResult],
         control: &Control,
     ) -> Result<()> {
-        let began = Instant::now();
-        self.begin(channels, results, control)?;
-        while !self.active.is_empty() {
-            self.evaluate(channels)?;
-            self.advance(channels, results, began)?;
+        let count = results.len();
+        for first in (0..count).step_by(self.at_once) {
+            let began = Instant::now();
+            self.begin(channels, results, first..count.min(first + self.at_once), control)?;
+            while !self.active.is_empty() {
+                self.evaluate(channels)?;
+                self.advance(channels, results, began)?;
+            }
         }
         Ok(())
     }
 
-    /// Begins the fit of each group with a frame that can be used.
-    fn begin(&mut self, channels: &mut [SessionChannel], results: &mut [GroupResult], control: &Control) -> Result<()> {
+    /// Begins the fit of each of `groups` with a frame that can be used.
+    fn begin(
+        &mut self,
+        channels: &mut [SessionChannel],
+        results: &mut [GroupResult],
+        groups: Range<usize>,
+        control: &Control,
+    ) -> Result<()> {
         self.active.clear();
         if control.is_cancelled() {
             return Err(interrupted());
         }
-        for (group, result) in results.iter_mut().enumerate() {
+        for group in groups {
+            let result = &mut results[group];
             if control.is_late() || !channels.iter().any(|channel| channel.is_member(group)) {
                 channels.iter_mut().for_each(|channel| channel.report(group));
                 without_modes(result, channels, group);

@@ -191,7 +191,7 @@ pub struct ImageResult {
     /// [`StopReason::DeadlineReached`]; an image that was not begun has no evaluations.
     pub report: ImageReport,
     /// Wall-clock time of this image's fit; of a batch on a device, that of the batch; of several
-    /// channels, its share of the time from the beginning of the call to the end of its group.
+    /// channels, its share of that of its group and those beside it.
     pub seconds: f64,
 }
 
