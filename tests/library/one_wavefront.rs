@@ -86,7 +86,7 @@ fn a_few_images_of_another_wavefront_are_left_out_and_named() {
     let mean = [("estimate.combine", "mean")];
     let found = estimate(&images(7, &[1], 20.0, &mean), &mean);
     assert_eq!(found.used(), 7);
-    assert_facts(&found.warnings[0], "image 2 of 7 | are used as well | clipped-mean");
+    assert_facts(&found.warnings[0], "image 2 of 7 | used as well | clipped-mean");
     assert!(found.figures.phasing.sigma_nm > 0.5 * 20.0 / 7.0);
 }
 

@@ -57,7 +57,7 @@ const fn faint(name: &'static str, peak_snr: f64, is_together: bool) -> GroupRow
 }
 
 /// The cases, at a peak S/N of 200 but for those that name another.
-pub const GROUP_ROWS: [GroupRow; 15] = [
+pub const GROUP_ROWS: [GroupRow; 17] = [
     shapes("5 in focus, shapes 150 nm", 5, 150.0, 1.0),
     GroupRow {
         name: "5 in focus, shapes 150 nm, scale fitted",
@@ -77,6 +77,8 @@ pub const GROUP_ROWS: [GroupRow; 15] = [
     faint("40 images at S/N 2, one by one", 2.0, false),
     faint("40 images at S/N 10, together", 10.0, true),
     faint("40 images at S/N 10, one by one", 10.0, false),
+    faint("40 images at S/N 60, together", 60.0, true),
+    faint("40 images at S/N 60, one by one", 60.0, false),
 ];
 
 impl GroupRow {
