@@ -1019,8 +1019,9 @@ typedef struct {
 } cophase_fit_options;
 
 /* Session: fits of images with a model, in memory that is allocated when it is created. It follows
- * the policy COPHASE_POLICY_REALTIME: no modes with a prior, no restarts; outlier pixels are
- * rejected in the fit. The same frame gives the same bits, with any other frames in the call.
+ * the policy COPHASE_POLICY_REALTIME: no modes with a prior, but for channels none of which
+ * determines the wavefront by itself, no restarts; outlier pixels are rejected in the fit. The
+ * same group gives the same bits, with any other groups in the call.
  *
  * A group is what sees one wavefront: one frame of each channel of the model, which is one image
  * of a model with one channel. The frames of a group are fitted together, with the modes in common
@@ -1075,8 +1076,8 @@ cophase_status cophase_session_cancel(const cophase_session *session);
  *   of the group can be used and the fit converged.
  * sigma_nm: receives count x modes error bars (1 sigma) of the common modes of several channels;
  *   NULL if they are not wanted. They are those of a flat wavefront with the flux and the noise of
- *   the frames, scaled by the largest chi-square where a model misfits or the channels contradict
- *   each other. They hold the noise, and not what the scene
+ *   the frames, scaled by chi-square where a model misfits and where the channels contradict each
+ *   other. They hold the noise, and not what the scene
  *   does not know (plate scale, defocus, gains) nor what the modes leave out:
  *   cophase_estimator_estimate has these. NaN for one channel, whose covariance
  *   cophase_session_refine has.

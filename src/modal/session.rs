@@ -40,7 +40,8 @@ use std::time::Instant;
 /// ([`Session::frame_mut`]), fitted, and their results read. It is one thread's at a time.
 ///
 /// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit of the scene's
-/// modes, no modes with a prior, no restarts; pixels that the model does not explain are rejected
+/// modes, no modes with a prior, but for channels none of which determines the wavefront by itself,
+/// no restarts; pixels that the model does not explain are rejected
 /// in the fit. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
 /// [`SessionOptions`] leave them open.
 ///
@@ -157,16 +158,14 @@ impl Session {
     }
 
     fn fit_until(&mut self, deadline: Option<Instant>, count: usize, options: &FitOptions) -> Result<()> {
-        let (start_nm, read_noise_e) = (options.start_nm, options.read_noise_e);
         match &mut self.joint {
             Some(joint) => {
                 let control = self.control.silent().until(deadline);
-                self.channels.iter_mut().try_for_each(|channel| channel.prepare(count, start_nm, read_noise_e))?;
-                joint.fit(&mut self.channels, &mut self.results[..count], &control)
+                joint.fit(&mut self.channels, &mut self.results[..count], options, &control)
             }
             None => {
                 let channel = &mut self.channels[0];
-                channel.fit(count, start_nm, read_noise_e, deadline)?;
+                channel.fit(count, options.start_nm, options.read_noise_e, deadline)?;
                 channel.results().iter().zip(&mut self.results).for_each(|(image, result)| result.take(image));
                 Ok(())
             }

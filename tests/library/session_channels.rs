@@ -10,7 +10,7 @@ use cophase::modal::{
 use cophase::optimize::StopReason;
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::scene::Scene;
-use ndarray::{Array2, s};
+use ndarray::{Array2, Axis, s};
 use std::time::Duration;
 
 /// A session of `scene` with the frames of `images`.
@@ -115,6 +115,29 @@ fn weak_diversities_are_fitted_together() {
     }
 }
 
+/// A star that is elsewhere in a channel that joins later: two colours, and one in focus.
+#[test]
+fn channels_may_have_stars_in_different_places() {
+    let with_focus = format!("{PAIR}[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n");
+    for channels in [COLOURS, &with_focus] {
+        let scene = with_channels(channels, &[]);
+        let mut images = Images::simulated(&scene).unwrap();
+        let last = images.len() - 1;
+        let frame = images[last].images_e.index_axis(Axis(0), 0).to_owned();
+        let (rows, columns) = frame.dim();
+        let moved = |(y, x): (usize, usize)| frame[[(y + 3) % rows, (x + columns - 2) % columns]];
+        let moved = Array2::from_shape_fn((rows, columns), moved);
+        images[last].images_e.index_axis_mut(Axis(0), 0).assign(&moved);
+        let found = estimate(&scene, &images);
+        let mut session = session(&scene, &images);
+        session.fit(1, &FitOptions::default()).unwrap();
+        let (off, _) = agreement(&session, &found);
+        let fit = result(&session);
+        assert!(fit.status == Status::Ok && !fit.is_contradictory, "{:?} {:?}", fit.status, fit.disagreement);
+        assert!(off < 0.05, "{off}");
+    }
+}
+
 /// Two groups, on two threads and on each device: the fits of one thread of the CPU, to the
 /// rounding of another chain and the step at which fits end.
 #[test]
@@ -143,6 +166,14 @@ fn groups_are_the_same_on_threads_and_devices() {
                 let off = modes.map(|((a, b), sigma)| (a - b).abs() / sigma).fold(0.0, f64::max);
                 assert!(found.status == expected.status && off < most, "{precision:?} {:?} {off}", found.status);
             }
+            // A channel of which no frame can be used.
+            let options = SessionOptions { device, precision: Some(precision), ..SessionOptions::default() };
+            let mut session = Session::new(fitters.clone(), &options).unwrap();
+            write(&mut session, 0, &groups[0]);
+            session.frame_mut(0, 1).unwrap().0.fill(3.0);
+            session.fit(1, &FitOptions::default()).unwrap();
+            let statuses: Vec<Status> = fits(&session).map(|fit| fit.report.status).collect();
+            assert!(matches!(statuses[..], [Status::Ok, Status::Unusable(_)]), "{statuses:?}");
         }
     }
 }

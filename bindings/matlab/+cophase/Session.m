@@ -3,8 +3,9 @@ classdef Session < cophase.Handle
     %   A frame of each channel of the model is a group, which sees one wavefront: an image of a model with one channel. The
     %   frames of a group are fitted together, with the modes in common and each its own tip, tilt, flux and background.
     %
-    %   s = cophase.Session(model) follows the policy 'realtime': no modes with a prior, no outlier rejection, no restarts;
-    %   cophase.Estimator is the full pipeline. The model may be deleted afterwards.
+    %   s = cophase.Session(model) follows the policy 'realtime': no modes with a prior, but for channels none of which
+    %   determines the wavefront by itself, no restarts; cophase.Estimator is the full pipeline. The model may be deleted
+    %   afterwards.
     %
     %   s = cophase.Session(model, Name, Value, ...) chooses:
     %      'capacity'           largest number of groups of a call, which are images with one channel; 1

@@ -110,12 +110,12 @@ class RefinedFit:
 class Session(Handle):
     """Fits of images with a model, in memory that is allocated when the session is created.
 
-    A frame of each channel of the model is a group, which sees one wavefront: each is fitted by itself, and the fits of several
-    channels are combined.
+    A frame of each channel of the model is a group, which sees one wavefront: its frames are fitted together, with the modes in
+    common and each its own tip, tilt, flux and background.
 
-    It follows the policy ``"realtime"``: no modes with a prior, no restarts;
-    :class:`cophase.Estimator` is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except
-    :meth:`cancel`; other Python threads run during a call. The same frame gives the same bits, with any other frames
+    It follows the policy ``"realtime"``: no modes with a prior, but for channels none of which determines the wavefront by itself,
+    no restarts; :class:`cophase.Estimator` is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except
+    :meth:`cancel`; other Python threads run during a call. The same group gives the same bits, with any other groups
     in the call, in every language.
 
     Parameters

@@ -104,7 +104,7 @@ const MODEL_EXCESS: [f64; 2] = [0.1, 0.3];
 const LEAST_FRACTION: f64 = 0.01;
 /// Reduced χ² above which a wrong minimum is suspected: a basis that misses part of the NCPA gives
 /// 17 at a peak SNR of 500, wrong minima 900 to 5,000.
-const WRONG_MINIMUM: f64 = 300.0;
+pub(in crate::modal) const WRONG_MINIMUM: f64 = 300.0;
 
 /// Least square of a star's signal-to-noise ratio over all pixels, per parameter of the fit. In a
 /// linear fit pure noise reaches 1; a nonlinear fit finds the aberrations whose image is most

@@ -19,6 +19,7 @@ use crate::optimize::StopReason;
 use crate::scene::Optimizer;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2};
+use std::ops::Range;
 use std::slice::from_ref;
 use std::sync::Arc;
 use std::time::Instant;
@@ -144,11 +145,6 @@ impl SessionChannel {
         Some((frame.data_e.view_mut(), frame.bad.view_mut()))
     }
 
-    /// Most images of a call.
-    pub(super) fn capacity(&self) -> usize {
-        self.frames.len()
-    }
-
     /// The recipe of the fits.
     pub(super) fn recipe(&self) -> &Recipe {
         &self.shared.recipe
@@ -191,35 +187,32 @@ impl SessionChannel {
         Ok(())
     }
 
-    /// Prepares frames 0 to `count` − 1 for a fit with those of other channels, from the rows of
+    /// Begins a fit of frames 0 to `count` − 1 with those of other channels, from the rows of
     /// `start_nm`.
-    ///
-    /// # Errors
-    /// [`Error::Device`] where a device fails.
-    pub(super) fn prepare(
-        &mut self,
-        count: usize,
-        start_nm: Option<ArrayView2<f64>>,
-        read_noise_e: Option<f64>,
-    ) -> Result<()> {
+    pub(super) fn begin(&mut self, count: usize, start_nm: Option<ArrayView2<f64>>) {
         (self.fitted, self.loaded) = (count, 0);
         for (image, fit) in self.fits[..count].iter_mut().enumerate() {
             write_start(&mut fit.start_nm, start_nm.as_ref().map(|start_nm| start_nm.row(image)));
-            fit.seconds = 0.0;
+            (fit.seconds, fit.state) = (0.0, FitState::NotBegun);
         }
+    }
+
+    /// Prepares some `images` for it, which the engine numbers from 0.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where a device fails.
+    pub(super) fn prepare(&mut self, images: Range<usize>, read_noise_e: Option<f64>) -> Result<()> {
         let recipe = &self.shared.recipe;
-        let prepare = prepare(&self.frames, recipe, self.shared.read_noise_e(read_noise_e));
-        let weighed = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
-            prepare(index, preparer, prepared)?;
-            if recipe.reject_outliers {
-                weigh_dead(prepared);
-            }
-            Ok(())
-        };
-        self.engine.load(&self.shared.task(&self.shared.control), &weighed, &mut self.fits[..count])?;
-        self.fits[..count].iter().zip(&mut self.originals).for_each(|(fit, original)| {
+        let prepare = prepare(&self.frames[images.clone()], recipe, self.shared.read_noise_e(read_noise_e));
+        self.engine.load(&self.shared.task(&self.shared.control), &prepare, &mut self.fits[images.clone()])?;
+        let fits = self.fits[images.clone()].iter_mut().zip(&mut self.originals[images]);
+        for (number, (fit, original)) in fits.enumerate().filter(|(_, (fit, _))| fit.state == FitState::NotBegun) {
             original.clone_from(&fit.prepared);
-        });
+            if recipe.reject_outliers {
+                weigh_dead(&mut fit.prepared);
+                self.engine.replace(number, &fit.prepared.exposure)?;
+            }
+        }
         Ok(())
     }
 
@@ -246,7 +239,7 @@ impl SessionChannel {
     pub(super) fn fitted_alone(&self, image: usize) -> Result<ImageFit> {
         let mut fit = self.unfitted(image);
         let prepared = fit.prepared.clone();
-        let control = self.shared.control.silent();
+        let control = Control::default();
         CpuEngine::new(&*self.shared.fitter.reference, Some(1)).fit(
             &self.shared.task(&control),
             &|_, _, out| {

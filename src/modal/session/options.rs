@@ -22,7 +22,8 @@ pub struct SessionOptions {
     pub device: Option<Choice>,
     /// Threads of the CPU chain: 1, the default, is the caller's own, 0 all that there are.
     pub threads: usize,
-    /// Most evaluations for one image; `None` for the recipe's.
+    /// Most evaluations for one image, or one group of several channels before and after some join;
+    /// `None` for the recipe's.
     pub max_evaluations: Option<usize>,
     /// A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than
     /// this, nm; `None` for the recipe's.
@@ -114,9 +115,10 @@ pub struct GroupResult {
     /// and the fit converged.
     pub coefficients_nm: Vec<f64>,
     /// Error bar of each mode of several channels, 1σ, nm: from the information at the flat
-    /// wavefront, scaled by the root of the largest χ² where a channel's model misfits, or where
-    /// the channels contradict each other. Bad pixels are not left out. NaN in one channel:
-    /// [`Session::refine`](super::Session::refine) has its covariance.
+    /// wavefront, scaled by the roots of the largest χ² where a channel's model misfits, and of
+    /// the χ² of their differences where the channels contradict each other. Bad pixels are not
+    /// left out. NaN in one channel: [`Session::refine`](super::Session::refine) has its
+    /// covariance.
     pub sigma_nm: Vec<f64>,
     /// The worst status of the channels.
     pub status: Status,

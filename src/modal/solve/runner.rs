@@ -169,11 +169,6 @@ impl Runner {
         self.set_tolerances()
     }
 
-    /// Whether the weights are still those of the data's own noise.
-    pub(in crate::modal) fn has_first_weights(&self) -> bool {
-        self.reweightings == 0
-    }
-
     /// Ends the fit: computes flux, background and χ² from the PSF at the point where the solver
     /// ended.
     pub(in crate::modal) fn settle(&mut self, psf: &[f64], image: &PreparedFrame) {
@@ -205,6 +200,11 @@ impl Runner {
         (minimum.evaluations, minimum.reason) = self.write_solution(&mut minimum.coefficients_nm);
         (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
         minimum.chi2 = self.chi2;
+    }
+
+    /// Whether `gradient` is that of the best point.
+    pub(in crate::modal) fn has_gradient(&self, gradient: &[f64]) -> bool {
+        self.solver.outcome().gradient == gradient
     }
 
     /// Writes where the fit ended, the last step, which is below the tolerances, included; the
