@@ -240,7 +240,7 @@ class Session(Handle):
         read_noise_e: float | None = None,
         start_nm: ArrayLike | None = None,
     ) -> Fit:
-        """Fits the model to a frame, or to each frame of a stack; with several channels, to one of each, and combines the fits.
+        """Fits the model to a frame, or to each frame of a stack; with several channels, to one of each together.
 
         Ctrl-C cancels it within an evaluation. For that the fit runs in a thread of its own, which costs some tens of
         microseconds; not with a deadline of up to 0.1 s, after which Ctrl-C takes effect.

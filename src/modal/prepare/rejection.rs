@@ -78,14 +78,14 @@ pub(in crate::modal) fn kinds(image: &PreparedFrame, preparation: &Preparation) 
 /// Weighs pixels that are far darker than their neighbours by the electrons of these, for the fit
 /// with the first weights: a dead pixel in the light would have the weight of a dark one, and would
 /// pull the fit a hundred times as much as the pixels around it. The electrons are the larger of
-/// what both neighbours in the row have, and both in the column.
-pub(in crate::modal) fn weigh_dead(image: &mut PreparedFrame) {
+/// what both neighbours in the row have, and both in the column. Whether there are such pixels.
+pub(in crate::modal) fn weigh_dead(image: &mut PreparedFrame) -> bool {
     let PreparedFrame { exposure: Exposure { data_e, weight, .. }, floor_variance_e2, .. } = image;
     let side = data_e.len().isqrt();
     if side < 3 {
-        return;
+        return false;
     }
-    let inner = 1..side - 1;
+    let (inner, mut has_dead) = (1..side - 1, false);
     for row in inner.clone() {
         let [above, own, below] = [row - 1, row, row + 1].map(|row| &data_e[row * side..(row + 1) * side]);
         let floor_e2 = &floor_variance_e2[row * side..(row + 1) * side];
@@ -98,11 +98,13 @@ pub(in crate::modal) fn weigh_dead(image: &mut PreparedFrame) {
         if !inner.clone().fold(false, |any, x| any | is_dead(x)) {
             continue;
         }
+        has_dead = true;
         for x in inner.clone().filter(|&x| is_dead(x)) {
             let weight = &mut weight[row * side + x];
             *weight = 1.0 / (1.0 / *weight - own[x].max(0.0) + around(x));
         }
     }
+    has_dead
 }
 
 /// Rejects the pixels that have no weight, as the fit whose weights these are did.

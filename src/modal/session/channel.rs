@@ -208,8 +208,7 @@ impl SessionChannel {
         let fits = self.fits[images.clone()].iter_mut().zip(&mut self.originals[images]);
         for (number, (fit, original)) in fits.enumerate().filter(|(_, (fit, _))| fit.state == FitState::NotBegun) {
             original.clone_from(&fit.prepared);
-            if recipe.reject_outliers {
-                weigh_dead(&mut fit.prepared);
+            if recipe.reject_outliers && weigh_dead(&mut fit.prepared) {
                 self.engine.replace(number, &fit.prepared.exposure)?;
             }
         }

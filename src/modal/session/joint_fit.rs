@@ -40,8 +40,9 @@ pub(super) struct JointFit {
     information: GroupInformation,
     /// Which channels join later.
     joins_later: Vec<bool>,
-    /// Whether all channels have one wavelength without a width, so that pistons are known modulo
-    /// it.
+    /// Whether all channels have one wavelength, and whether that is without a width, so that
+    /// pistons are known modulo it.
+    has_one_wavelength: bool,
     is_monochromatic: bool,
     slots: Vec<Slot>,
     /// Group of the first slot.
@@ -93,7 +94,8 @@ impl JointFit {
         let first_nm = wavelengths_nm[is_weak.iter().position(|weak| !weak).unwrap_or(0)];
         let is_of_others = |(weak, nm): (&bool, &f64)| (*weak && is_weak.contains(&false)) || *nm != first_nm;
         let joins_later = is_weak.iter().zip(&wavelengths_nm).map(is_of_others).collect();
-        let is_monochromatic = parts().all(|parts| parts.colours.len() == 1 && parts.wavelength_nm == first_nm);
+        let has_one_wavelength = wavelengths_nm.iter().all(|nm| *nm == first_nm);
+        let is_monochromatic = has_one_wavelength && parts().all(|parts| parts.colours.len() == 1);
         let is_single = channels.iter().any(|channel| channel.precision == Precision::F32);
         let precision = if is_single { Precision::F32 } else { Precision::F64 };
         let count = information.unknowns.count();
@@ -119,6 +121,7 @@ impl JointFit {
         };
         Ok(Self {
             joins_later,
+            has_one_wavelength,
             is_monochromatic,
             slots: (0..at_once).map(slot).collect::<Result<_>>()?,
             first: 0,
@@ -311,7 +314,7 @@ impl JointFit {
             worst = f64::max(worst, chi2_of(psf, prepared, own.len()).1.value);
             channel.engine.replace(slot, &prepared.exposure)?;
         }
-        if worst > WRONG_MINIMUM && self.joins_later.contains(&true) {
+        if worst > WRONG_MINIMUM && !self.has_one_wavelength {
             return Ok(false);
         }
         runner.has_renewed(has_other_pixels)?;

@@ -125,7 +125,9 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
         let mut ready: Vec<&mut ImageFit> =
             images.iter_mut().filter(|image| !is_late && image.state == FitState::NotBegun).collect();
         if task.recipe.reject_outliers {
-            ready.par_iter_mut().for_each(|image| weigh_dead(&mut image.prepared));
+            ready.par_iter_mut().for_each(|image| {
+                weigh_dead(&mut image.prepared);
+            });
         }
         let (count, mut done) = (ready.len(), 0);
         task.control.step(all - count);
