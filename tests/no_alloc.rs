@@ -190,7 +190,7 @@ fn sessions_of_several_channels() {
     for channel in ["diversity_focus_waves_rms = -0.8", "wavelength_nm = 1640.0"] {
         let scene = channels(channel);
         let images_e = source::simulate(&scene).unwrap();
-        let fitters = ChannelFitters::new(&scene).unwrap();
+        let fitters = ChannelFitters::new(&scene, false).unwrap();
         let mut session = Session::new(fitters, &SessionOptions { capacity: 2, ..SessionOptions::default() }).unwrap();
         for (group, channel) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let frame_e = images_e[channel].images_e.index_axis(Axis(0), 0);

@@ -171,7 +171,7 @@ pub unsafe extern "C" fn cophase_model_create(
             // Bad pixels are known frame by frame only: a scene for a camera that has some sets
             // estimate.sampling.
             let resolved = planner::resolve(&scene, &Control::default())?;
-            ChannelFitters::new(&resolved)?
+            ChannelFitters::new(&resolved, false)?
         } else {
             let scene = Scene::for_arrays(scene_text, directory)?;
             let arrays = unsafe { sized::read(arrays, "arrays") }?;

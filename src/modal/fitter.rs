@@ -103,7 +103,8 @@ pub(super) fn refuse_group(scene: &System) -> Result<()> {
         Grouping::Auto | Grouping::Each | Grouping::Successive(1) => Ok(()),
         together => Err(Error::Scene(format!(
             "estimate.group = {} fits several images of a channel together, where a model and its sessions take one of each: leave it \
-             out, or give this scene to the full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)",
+             out, or give this scene to the full pipeline ('cophase estimate', 'cophase watch --policy full', pipeline::Estimator, \
+             cophase_estimator_create)",
             together.shown()
         ))),
     }

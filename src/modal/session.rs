@@ -29,7 +29,7 @@ use crate::modal::estimate::image_fits::FittedCube;
 use crate::modal::fitter::ModalFitter;
 use crate::modal::group::refined;
 use crate::modal::session::channel_fitters::ChannelFitters;
-use crate::scene::Weighting;
+use crate::scene::{Grouping, Weighting};
 use crate::{Error, Result};
 use joint_fit::JointFit;
 use ndarray::{ArrayView2, ArrayViewMut2};
@@ -71,7 +71,8 @@ impl Session {
     /// [`Error::Value`] for options out of range and for a recipe with the paper's BFGS, which
     /// cannot be stopped and resumed; [`Error::Device`] where the device cannot run the model;
     /// [`Error::Scene`] for several channels that are all in focus, that are not weighted by their
-    /// noise, or whose modes do not span an error of the diversity.
+    /// noise, that are to be fitted each by itself, or whose modes do not span an error of the
+    /// diversity.
     pub fn new(fitters: impl Into<ChannelFitters>, options: &SessionOptions) -> Result<Self> {
         let fitters = fitters.into();
         options.check()?;
@@ -294,6 +295,12 @@ fn check_channels(fitters: &ChannelFitters) -> Result<()> {
         return Err(Error::Scene(format!(
             "{}: a session of several channels needs estimate.weighting = \"noise\", by which they are weighed against each other",
             fitter.scene.name()
+        )));
+    }
+    if fitters.scene().estimate.group == Grouping::Each {
+        return Err(Error::Scene(format!(
+            "{}: a session fits one image of each channel together, which estimate.group = \"each\" excludes: leave it out",
+            fitters.scene().name()
         )));
     }
     if !fitters.iter().any(|(_, fitter)| has_diversity(&fitter.scene.image)) {

@@ -264,6 +264,7 @@ pub(super) fn combined(
     let figures = Figures::new(&first.pupil, &found.maps, sigma_nm)?;
     let without_staircases = WithoutStaircases::of((&errors, own.fitter.model()), left_out, &figures)?;
     let of_staircases = without_staircases.as_ref().map(|without| without.remark(&figures));
+    let contradiction = found.is_contradictory().then_some(&Status::Contradictory);
     Ok(Estimate {
         // The scene as given, with its channels.
         scene: scene.clone(),
@@ -276,7 +277,7 @@ pub(super) fn combined(
         model_errors: of_step(&found, &each).map(|left_out| left_out.errors.clone()).unwrap_or_default(),
         reduced_chi2: median(&used.map(|image| image.report.reduced_chi2).collect::<Vec<_>>()),
         images,
-        status: *Status::worst(each.iter().map(|one| &one.status)),
+        status: *Status::worst(each.iter().map(|one| &one.status).chain(contradiction)),
         is_sequence: scatter.is_some(),
         model: first.model.clone(),
         optics: optics(&found, &names, &each),

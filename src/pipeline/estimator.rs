@@ -260,7 +260,7 @@ fn compare_with_truth(estimate: &mut Estimate, truth: Option<&StaticMaps>) {
 }
 
 /// The images of each channel of `scene`, in their order.
-fn in_order_of<'a>(scene: &Scene, images: &'a [Images]) -> Result<Vec<&'a Images>> {
+pub(super) fn in_order_of<'a>(scene: &Scene, images: &'a [Images]) -> Result<Vec<&'a Images>> {
     let channels = scene.each_channel();
     let names: Vec<&str> = channels.iter().filter_map(|(name, _)| *name).collect();
     if images.len() != channels.len() {

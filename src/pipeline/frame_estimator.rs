@@ -5,27 +5,32 @@
 //! makes the estimate of a file. Both report the same modes, those of the scene, so that estimates
 //! of one night can be compared and tracked.
 
-use super::consistency::reconcile;
+use super::channels::named;
+use super::consistency::{Electrons, reconcile};
 use super::estimate::Estimate;
-use super::estimator::{Estimator, check_size};
-use super::images::Images;
+use super::estimator::{Estimator, check_size, in_order_of};
+use super::images::{Images, counted};
 use super::misfit::saturation;
 use super::modal_errors::{ModalErrors, change_by};
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
+use super::warnings::contradiction_warning;
 use crate::control::Control;
 use crate::loop_response::{Corrections, SegmentLimits};
 use crate::modal::{
-    CombinedModes, FittedImage, ImageReport, ModalFitter, Session, SessionOptions, Status, check_frame_shape,
+    ChannelFitters, CombinedModes, FitOptions, FittedImage, ImageReport, ModalFitter, Session, SessionOptions, Status,
+    check_frame_shape,
 };
 use crate::planner;
-use crate::scene::Scene;
+use crate::scene::{Grouping, Scene};
+use crate::statistics::median;
 use crate::tracking::Correction;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use std::sync::Arc;
 
-/// Estimates frames of one scene, one after the other.
+/// Estimates frames of one scene, one after the other; with several channels groups, which are one
+/// frame of each.
 pub struct FrameEstimator {
     /// The scene, with the choices of its plan where it named a budget.
     scene: Scene,
@@ -45,13 +50,14 @@ pub struct FrameEstimate {
     /// The modes, with their covariance; NaN where there is no fit.
     pub modes: CombinedModes,
     /// Report on the fit. Of an estimate from several images it is that of the first that is used,
-    /// with the status and the χ² of the estimate, and the mean tip and tilt.
+    /// with the status and the χ² of the estimate, and where they are fitted each by itself the
+    /// mean tip and tilt.
     pub report: ImageReport,
     /// Why the numbers must not be used: a sentence; `None` where they may.
     pub refusal: Option<String>,
     /// Sentences that a user should read before using the numbers.
     pub warnings: Vec<String>,
-    /// The frame beside its model, at the model's sampling.
+    /// The frame, or that of the first channel, beside its model, at the model's sampling.
     pub compared: Option<FittedImage>,
 }
 
@@ -60,28 +66,35 @@ impl FrameEstimator {
     /// size of Keck.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a scene with channels, with `estimate.method = "full-phase"` or
-    /// `"auto"`, or with a key that the policy does not honour; those of [`ModalFitter::new`],
-    /// [`Session::new`] and [`Estimator::with_policy`].
+    /// [`Error::Scene`] for a scene with `estimate.method = "full-phase"` or `"auto"`, or with a
+    /// key that the policy does not honour, as `estimate.group = "all"` in real time; those of
+    /// [`ChannelFitters::new`], [`Session::new`] and [`Estimator::with_policy`].
     pub fn new(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
         check_for_estimate(scene)?;
         let scene = planner::resolve(scene, &control)?;
-        // The fitter gives the modes alone where a pipeline fits optical parameters as well.
-        let modes_of = scene.system().with(|sections| sections.estimate.fit_optics.clear())?;
+        if policy == Policy::realtime() {
+            let session = Session::new(ChannelFitters::new(&scene, false)?, &SessionOptions::default())?;
+            let fitter = session.fitters().first().clone();
+            return Ok(Self { scene, fitter, method: Method::Sessions([Some(Box::new(session)), None]) });
+        }
+        // The fitter gives the modes alone, where a pipeline fits optical parameters and has images
+        // with diversities of their own as well.
+        let (_, first) = scene.each_channel()[0];
+        let modes_of = first.system().with(|sections| {
+            sections.estimate.fit_optics.clear();
+            sections.estimate.group = Grouping::Auto;
+            sections.image.diversity_planes.iter_mut().for_each(|planes| planes.truncate(1));
+            sections.image.pupil_turns_deg.iter_mut().for_each(|turns_deg| turns_deg.truncate(1));
+        })?;
         let fitter = Arc::new(ModalFitter::new(&modes_of, false)?);
-        let method = if policy == Policy::realtime() {
-            let session = Session::new(fitter.clone(), &SessionOptions::default())?;
-            Method::Sessions([Some(Box::new(session)), None])
-        } else {
-            // What the modes leave out all frames share: it is no noise that a state averages.
-            let alone = scene.changed(|sections| sections.leave_out_posterior())?;
-            Method::Pipeline(Box::new(Estimator::with_policy(&alone, policy, control)?))
-        };
+        // What the modes leave out all frames share: it is no noise that a state averages.
+        let alone = scene.changed(|sections| sections.leave_out_posterior())?;
+        let method = Method::Pipeline(Box::new(Estimator::with_policy(&alone, policy, control)?));
         Ok(Self { scene, fitter, method })
     }
 
-    /// The fitter whose modes are estimated.
+    /// The fitter whose modes are estimated, that of the first channel.
     pub fn fitter(&self) -> &Arc<ModalFitter> {
         &self.fitter
     }
@@ -91,34 +104,27 @@ impl FrameEstimator {
         &self.scene
     }
 
-    /// Number of estimates from `images`: one for each in real time, else one from all.
-    pub fn estimates_of(&self, images: &Images) -> usize {
+    /// Number of estimates from `images`, those of each channel: one for each image, or each group,
+    /// in real time, else one from all.
+    pub fn estimates_of(&self, images: &(impl AsRef<[Images]> + ?Sized)) -> usize {
         match &self.method {
-            Method::Sessions(_) => images.len(),
+            Method::Sessions(_) => images.as_ref().iter().map(Images::len).max().unwrap_or(0),
             Method::Pipeline(_) => 1,
         }
     }
 
-    /// Estimate `number` of [`FrameEstimator::estimates_of`] from `images`, which are checked and
-    /// converted as [`Estimator::estimate`] does.
+    /// Estimate `number` of [`FrameEstimator::estimates_of`] from `images`, those of each channel
+    /// as in [`Estimator::estimate`], which are checked and converted as there.
     ///
     /// # Errors
     /// [`Error::Image`] and [`Error::Shape`] for images that contradict the scene or have another
-    /// size; those of the fit. A frame that cannot be fitted is no error: see
-    /// [`FrameEstimate::refusal`].
-    pub fn estimate(&mut self, images: &Images, number: usize) -> Result<FrameEstimate> {
+    /// size or another number than those of the other channels; those of the fit. A frame that
+    /// cannot be fitted is no error: see [`FrameEstimate::refusal`].
+    pub fn estimate(&mut self, images: &(impl AsRef<[Images]> + ?Sized), number: usize) -> Result<FrameEstimate> {
         match &mut self.method {
             Method::Sessions(sessions) => {
-                if number >= images.len() {
-                    let count = images.len();
-                    return Err(Error::Shape(format!(
-                        "image {number} does not exist: there are {count} images, from 0"
-                    )));
-                }
-                images.check()?;
-                let frame = images.selected(&[number]);
-                let (frame, _) = frame.without_odd_edge(self.scene.image.fitted_shape());
-                fit(&self.scene, &self.fitter, sessions, &frame)
+                let images = in_order_of(&self.scene, images.as_ref())?;
+                fit(&self.scene, sessions, &group_of(&self.scene, &images, number)?)
             }
             Method::Pipeline(estimator) => FrameEstimate::of_estimate(&estimator.estimate(images)?, &self.fitter),
         }
@@ -182,61 +188,116 @@ impl FrameEstimator {
     }
 }
 
-/// The fit of `images`, which is one frame.
-fn fit(
-    scene: &Scene,
-    fitter: &Arc<ModalFitter>,
-    sessions: &mut [Option<Box<Session>>; 2],
-    images: &Images,
-) -> Result<FrameEstimate> {
-    check_size(images, scene)?;
-    let consistent = reconcile(images, scene)?;
+/// Frame `number` of each channel.
+///
+/// # Errors
+/// [`Error::Shape`] where a channel has none; those of [`Images::check`].
+fn group_of(scene: &Scene, images: &[&Images], number: usize) -> Result<Vec<Images>> {
+    let channels = scene.each_channel();
+    let each = images.iter().zip(&channels).map(|(images, (name, own))| {
+        if number >= images.len() {
+            let of = name.map(|name| format!(" of the channel '{name}'")).unwrap_or_default();
+            let there = counted(images.len(), "image");
+            return Err(Error::Shape(format!("image {number}{of} does not exist: there are {there}, from 0")));
+        }
+        named(*name, images.check())?;
+        let frame = images.selected(&[number]);
+        let (cut, _) = frame.without_odd_edge(own.image.fitted_shape());
+        Ok(cut.into_owned())
+    });
+    each.collect()
+}
+
+/// The electrons of a frame of the channel `own`.
+fn electrons_of<'a>(frame: &'a Images, own: &Scene) -> Result<Electrons<'a>> {
+    check_size(frame, own)?;
+    let consistent = reconcile(frame, own)?;
     if consistent.is_changed {
         return Err(Error::Image(
             "the file's values were to replace those of the scene, which a session cannot do: correct the scene".into(),
         ));
     }
-    let electrons = &consistent.images;
-    let (data_e, bad) = (electrons.images_e.index_axis(Axis(0), 0), electrons.bad.index_axis(Axis(0), 0));
-    let [width, height] = fitter.model().preparation.frame;
-    check_frame_shape(data_e.dim(), (height, width))?;
-    let is_reduced = fitter.model().preparation.reduced != fitter.model().preparation.frame;
-    let native = usize::from(is_reduced && bad.iter().any(|bad| *bad));
-    let session = match &mut sessions[native] {
+    Ok(consistent.images)
+}
+
+/// The fit of a group, whose `frames` are one of each channel.
+fn fit(scene: &Scene, sessions: &mut [Option<Box<Session>>; 2], frames: &[Images]) -> Result<FrameEstimate> {
+    let channels = scene.each_channel();
+    let each = frames.iter().zip(&channels).map(|(frame, (name, own))| named(*name, electrons_of(frame, own)));
+    let electrons = each.collect::<Result<Vec<_>>>()?;
+    let pixels = |channel: usize| {
+        let electrons: &Electrons = &electrons[channel];
+        (electrons.images_e.index_axis(Axis(0), 0), electrons.bad.index_axis(Axis(0), 0))
+    };
+    let Some(first) = &sessions[0] else {
+        return Err(Error::Internal("there is no session of frames without bad pixels".into()));
+    };
+    let mut is_native = false;
+    for (number, (name, fitter)) in first.fitters().iter().enumerate() {
+        let (preparation, (data_e, bad)) = (fitter.model().preparation, pixels(number));
+        let [width, height] = preparation.frame;
+        named(Some(name).filter(|name| !name.is_empty()), check_frame_shape(data_e.dim(), (height, width)))?;
+        is_native |= preparation.reduced != preparation.frame && bad.iter().any(|bad| *bad);
+    }
+    let session = match &mut sessions[usize::from(is_native)] {
         Some(session) => session,
         none => {
-            let native = Arc::new(ModalFitter::new(scene, true)?);
+            let native = ChannelFitters::new(scene, true)?;
             none.insert(Box::new(Session::new(native, &SessionOptions::default())?))
         }
     };
-    let (mut to_e, mut to_bad) = session.frame_mut(0, 0)?;
-    to_e.assign(&data_e);
-    to_bad.assign(&bad);
-    let options = crate::modal::FitOptions { read_noise_e: electrons.read_noise_e, ..Default::default() };
-    session.fit(1, &options)?;
-    let channel = &session.channels()[0];
-    let result = channel.results()[0].clone();
-    let report = result.report;
+    for number in 0..electrons.len() {
+        let (data_e, bad) = pixels(number);
+        let (mut to_e, mut to_bad) = session.frame_mut(0, number)?;
+        to_e.assign(&data_e);
+        to_bad.assign(&bad);
+    }
+    // A call has one for all channels; where they differ each has its scene's.
+    let read_noise_e = electrons[0].read_noise_e;
+    let is_common = electrons.iter().all(|electrons| electrons.read_noise_e == read_noise_e);
+    session.fit(1, &FitOptions { read_noise_e: read_noise_e.filter(|_| is_common), ..Default::default() })?;
+    let (result, of_channels) = (session.results()[0].clone(), session.channels());
+    let reports: Vec<ImageReport> = of_channels.iter().map(|channel| channel.results()[0].report).collect();
+    // The sentence of a channel, with its name where there are several.
+    let said = |number: usize, sentence: &str| match of_channels[number].name() {
+        "" => sentence.to_owned(),
+        name => format!("channel {name}: {sentence}"),
+    };
+    let at = reports.iter().position(|report| report.status == result.status).unwrap_or(0);
+    let reduced_chi2 = median(&reports.iter().map(|report| report.reduced_chi2).collect::<Vec<_>>());
     let covariance_nm2 = Array2::from_elem([result.coefficients_nm.len(); 2], f64::NAN);
+    let notes =
+        frames.iter().enumerate().flat_map(|(number, frame)| frame.notes.iter().map(move |note| (number, note)));
     let mut estimate = FrameEstimate {
         modes: CombinedModes { coefficients_nm: result.coefficients_nm, covariance_nm2 },
-        report,
+        report: ImageReport { status: result.status, reduced_chi2, ..reports[0] },
         refusal: None,
-        warnings: images.notes.clone(),
-        compared: channel.fitted_image(0),
+        warnings: notes.map(|(number, note)| said(number, note)).collect(),
+        compared: of_channels[0].fitted_image(0),
     };
-    let saturated = estimate.compared.as_ref().and_then(|compared| saturation(compared, data_e, bad));
-    match report.status {
-        Status::Ok | Status::Misfit => estimate.modes.covariance_nm2 = session.refine(0)?.modes.covariance_nm2,
+    let saturated = of_channels.iter().enumerate().find_map(|(number, channel)| {
+        let (data_e, bad) = pixels(number);
+        let sentence = saturation(&channel.fitted_image(0)?, data_e, bad)?;
+        Some(said(number, &sentence))
+    });
+    match result.status {
+        Status::Ok | Status::Misfit => {
+            let refined = session.refine(0)?;
+            estimate.modes = refined.modes;
+            if refined.is_contradictory {
+                estimate.report.status = Status::Contradictory;
+                estimate.refusal = Some(contradiction_warning(refined.disagreement));
+            }
+        }
         Status::WrongMinimum | Status::Contradictory | Status::NotConverged(_) | Status::Unusable(_) => {
             // A cause says more than its effect on χ².
-            estimate.refusal = saturated.clone().or_else(|| Some(report.sentence()));
+            estimate.refusal = saturated.clone().or_else(|| Some(said(at, &reports[at].sentence())));
         }
     }
-    if report.status == Status::Misfit {
+    if result.status == Status::Misfit {
         match saturated {
             Some(sentence) => estimate.refusal = Some(sentence),
-            None => estimate.warnings.push(report.sentence()),
+            None => estimate.warnings.push(said(at, &reports[at].sentence())),
         }
     }
     Ok(estimate)
@@ -263,8 +324,13 @@ impl FrameEstimate {
         };
         let used: Vec<ImageReport> =
             estimate.images.iter().filter(|image| image.is_used).map(|image| image.report).collect();
+        // Of images that are fitted together the modes have tip and tilt of the first.
+        let is_each =
+            estimate.channels.is_empty() && matches!(estimate.scene.estimate.group, Grouping::Auto | Grouping::Each);
+        let of_mean = &used[..if is_each { used.len() } else { used.len().min(1) }];
         // NaN for none.
-        let mean = |axis: usize| used.iter().map(|report| report.tip_tilt_nm[axis]).sum::<f64>() / used.len() as f64;
+        let mean =
+            |axis: usize| of_mean.iter().map(|report| report.tip_tilt_nm[axis]).sum::<f64>() / of_mean.len() as f64;
         Ok(Self {
             modes: CombinedModes {
                 coefficients_nm: places.iter().map(|&mode| estimate.modes.coefficients_nm[mode]).collect(),

@@ -248,7 +248,9 @@ impl<'a> GroupTask<'a> {
             each.push(own);
             used.push(channel);
         }
-        let most_different = differences.first().filter(|_| joint.is_contradictory());
+        let is_contradictory =
+            joint.is_contradictory() || sequence.as_ref().is_some_and(|sequence| sequence.agreement.is_contradictory());
+        let most_different = differences.first().filter(|_| is_contradictory);
         let has_scatter = sequence.as_ref().is_some_and(|sequence| sequence.has_scatter);
         let mut estimate = combined(self.scene, joint, names(&used), (each, has_scatter.then_some("groups")))?;
         estimate.run.seconds = self.started.elapsed().as_secs_f64() - self.model_seconds;
@@ -270,8 +272,7 @@ impl<'a> GroupTask<'a> {
         // Of an image that is left out its warning has everything.
         let is_kept = |image: &&ImageOutcome| if sequence.is_some() { image.is_used } else { !image.is_clipped };
         let kept: Vec<_> = estimate.images.iter().filter(is_kept).collect();
-        let contradiction = sequence.iter().filter(|sequence| sequence.agreement.is_contradictory());
-        let contradiction = contradiction.map(|_| &Status::Contradictory);
+        let contradiction = is_contradictory.then_some(&Status::Contradictory);
         estimate.status = *Status::worst(kept.iter().map(|image| &image.report.status).chain(contradiction));
         estimate.warnings.splice(0..0, group_warnings(&kept));
         estimate.warnings.extend(warnings(&minima));

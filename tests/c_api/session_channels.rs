@@ -51,7 +51,7 @@ fn compare(mut command: Command, scene: &Scene, is_contradictory: bool) {
 /// Lines that a program prints; see `session_channels.c`.
 fn expected(scene: &Scene, images: &[Images]) -> Vec<String> {
     let options = SessionOptions { device: Some(Choice::Cpu), ..SessionOptions::default() };
-    let mut session = Session::new(ChannelFitters::new(scene).unwrap(), &options).unwrap();
+    let mut session = Session::new(ChannelFitters::new(scene, false).unwrap(), &options).unwrap();
     for (channel, images) in images.iter().enumerate() {
         session.frame_mut(0, channel).unwrap().0.assign(&images.images_e.slice(s![0, .., ..]));
     }

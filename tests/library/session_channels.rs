@@ -15,7 +15,7 @@ use std::time::Duration;
 
 /// A session of `scene` with the frames of `images`.
 fn session(scene: &Scene, images: &[Images]) -> Session {
-    let mut session = Session::new(ChannelFitters::new(scene).unwrap(), &SessionOptions::default()).unwrap();
+    let mut session = Session::new(ChannelFitters::new(scene, false).unwrap(), &SessionOptions::default()).unwrap();
     write(&mut session, 0, images);
     session
 }
@@ -145,7 +145,7 @@ fn groups_are_the_same_on_threads_and_devices() {
     let scene = with_channels(PAIR, &[]);
     let other = scene.with(&[("aberrations.seed", "77")]).unwrap();
     let groups = [&scene, &other].map(|scene| Images::simulated(scene).unwrap());
-    let fitters = ChannelFitters::new(&scene).unwrap();
+    let fitters = ChannelFitters::new(&scene, false).unwrap();
     let fitted = |options: SessionOptions| {
         let mut session = Session::new(fitters.clone(), &SessionOptions { capacity: 2, ..options }).unwrap();
         groups.iter().enumerate().for_each(|(group, images)| write(&mut session, group, images));
@@ -248,7 +248,7 @@ fn groups_of_a_batch_have_the_bits_of_single_groups() {
     let images = Images::simulated(&scene).unwrap();
     let mut empty = images.clone();
     empty[1].images_e.fill(3.0);
-    let fitters = ChannelFitters::new(&scene).unwrap();
+    let fitters = ChannelFitters::new(&scene, false).unwrap();
     let mut batch =
         Session::new(fitters.clone(), &SessionOptions { capacity: 3, ..SessionOptions::default() }).unwrap();
     for (group, images) in [&images, &empty, &images].into_iter().enumerate() {
@@ -300,15 +300,18 @@ fn a_list_of_one_channel_is_a_scene_of_one() {
 #[test]
 fn channels_without_a_session_are_refused_with_the_reason() {
     let refused = |scene: &Scene, words: &str| {
-        let session = ChannelFitters::new(scene).and_then(|fitters| Session::new(fitters, &SessionOptions::default()));
+        let session =
+            ChannelFitters::new(scene, false).and_then(|fitters| Session::new(fitters, &SessionOptions::default()));
         assert_facts(&session.err().unwrap().to_string(), words);
     };
     let focus = PAIR.replace("minus\"\ndiversity_focus_waves_rms = -0.8", "minus\"");
     refused(&with_channels(&focus, &[("image.diversity_focus_waves_rms", "0.0")]), "all channels are in focus");
     refused(&with_channels(PAIR, &[("estimate.weighting", "none")]), "estimate.weighting = \"noise\"");
+    refused(&with_channels(PAIR, &[("estimate.group", "each")]), "one image of each channel together | \"each\"");
     refused(&with_channels(PAIR, &[("estimate.fit_optics", "[\"defocus\"]")]), "estimate.fit_optics");
     let mut pair =
-        Session::new(ChannelFitters::new(&with_channels(PAIR, &[])).unwrap(), &SessionOptions::default()).unwrap();
+        Session::new(ChannelFitters::new(&with_channels(PAIR, &[]), false).unwrap(), &SessionOptions::default())
+            .unwrap();
     assert_facts(&pair.load(2, 1, None).unwrap_err().to_string(), "channel 2 does not exist | there are 2");
     assert_facts(&pair.frame_mut(0, 2).unwrap_err().to_string(), "channel 2 does not exist");
     assert_facts(&pair.fitters().only("a map").unwrap_err().to_string(), "2 channels | a map is of one channel");

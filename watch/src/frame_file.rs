@@ -21,7 +21,8 @@ pub struct FrameReader {
 
 /// What a file holds.
 pub struct FrameFile {
-    pub images: Images,
+    /// Those of each channel.
+    pub images: Vec<Images>,
     /// When it was observed, s since 1970: from its cards, else its last change.
     pub observed_s: f64,
     /// Whether a card has it, or something that is no time, of which the images' notes say so.
@@ -34,14 +35,15 @@ impl FrameReader {
     /// # Errors
     /// Those of [`Images::read`].
     pub fn read(&self, path: &Path, stamp: &Stamp) -> Result<FrameFile> {
-        let mut images = self.with_options(Images::only(Images::read(path, self.mask.as_deref())?)?);
-        if images.is_empty() {
+        let read = Images::read(path, self.mask.as_deref())?.into_iter();
+        let mut images: Vec<Images> = read.map(|images| self.with_options(images)).collect();
+        if images.iter().all(Images::is_empty) {
             return Err(Error::file(path, "holds no image"));
         }
         let Observed { time_s, unread } = observed(path);
         let is_dated = time_s.is_some() || unread.is_some();
         if let (None, Some(card)) = (time_s, unread) {
-            images.notes.push(format!(
+            images[0].notes.push(format!(
                 "the time of the observation is not read from the card {card}: that of the file's last change is used; \
                  2026-11-25T04:15:30.25 is accepted"
             ));

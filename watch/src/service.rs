@@ -59,6 +59,14 @@ pub struct Settings {
 pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
     let place = settings.place.checked()?;
     let model = {
+        if let (Place::Stream(name), [_, ..]) = (&place, settings.scene.channels()) {
+            return Err(Error::Scene(format!(
+                "{}: the stream '{name}' has the frames of one channel, and the scene has {}: a folder with files that have the images of all \
+                 channels is needed",
+                settings.scene.name(),
+                settings.scene.channels().len()
+            )));
+        }
         let _wait = terminal.wait("Building the model", 1);
         Model::new(settings.scene, settings.policy, interrupt)?
     };

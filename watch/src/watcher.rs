@@ -53,7 +53,7 @@ struct Pending<'a> {
     observed_s: f64,
     /// When it was complete, s since 1970.
     complete_s: f64,
-    images: &'a Images,
+    images: &'a [Images],
 }
 
 impl Watcher<'_> {
@@ -141,7 +141,7 @@ impl Watcher<'_> {
             name: format!("{name} frame {}", frame.count),
             observed_s: known(frame.acquired_s),
             complete_s: known(frame.written_s),
-            images: &self.reader.with_options(Images::new(pixels)),
+            images: &[self.reader.with_options(Images::new(pixels))],
         };
         self.take_frame(&pending, None)
     }

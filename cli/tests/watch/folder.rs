@@ -66,6 +66,79 @@ fn the_images_of_a_cube_are_frames_and_a_full_estimate_is_one() {
     assert_eq!(modes(&found[0]), modes(&rows(&desk.path("night.db"))[0]));
 }
 
+/// A pair of defocuses, before the section of the aberrations.
+const PAIR: &str = "
+[[image.channel]]
+name = \"plus\"
+
+[[image.channel]]
+name = \"minus\"
+diversity_focus_waves_rms = -1.0
+
+[aberrations]";
+
+#[test]
+fn an_image_of_each_channel_is_one_frame() {
+    let desk = Desk::with_scene();
+    std::fs::write(desk.path("scene.toml"), SMALL.replacen("[aberrations]", PAIR, 1)).unwrap();
+    std::fs::create_dir(desk.path("frames")).unwrap();
+    desk.succeeds(&["image", "scene.toml", "-o", "frames/pairs.fits", "--set", "image.count=2"]);
+    // With another defocus than the scene's, and of one channel.
+    let other = ["image", "scene.toml", "-o", "frames/other.fits", "--set"];
+    desk.succeeds(&[&other[..], &["image.channel.minus.diversity_focus_waves_rms=-0.9"]].concat());
+    let single = SMALL.replacen("[image]", "[image]\ncount = 1", 1);
+    std::fs::write(desk.path("single.toml"), single).unwrap();
+    desk.succeeds(&["image", "single.toml", "-o", "frames/single.fits"]);
+    desk.succeeds(&[&WATCH[..], &["--once", "--trust", "scene"]].concat());
+    let found = rows(&desk.path("night.db"));
+    let each: Vec<_> = found.iter().map(|row| (row.name.as_str(), row.image, row.status.as_str())).collect();
+    let pairs = [("pairs.fits", 0, "done"), ("pairs.fits", 1, "done")];
+    assert_eq!(each, [&[("other.fits", 0, "refused")], &pairs[..], &[("single.fits", 0, "refused")]].concat());
+    assert!(found[0].reason.contains("channel"), "{}", found[0].reason);
+    assert!(found[3].reason.contains("1 channel, where the scene has 2 (plus, minus)"), "{}", found[3].reason);
+    // The joint fit of a session, at the wavefront that it finds, without the pointing.
+    let scene = cophase::scene::Scene::from_file(desk.path("scene.toml")).unwrap();
+    let fitters = cophase::modal::ChannelFitters::new(&scene, false).unwrap();
+    let pointing = fitters.first().pointing().unwrap();
+    let mut session = cophase::modal::Session::new(fitters, &Default::default()).unwrap();
+    let images = cophase::pipeline::Images::read(desk.path("frames/pairs.fits"), None).unwrap();
+    for (channel, images) in images.iter().enumerate() {
+        let (mut electrons, mut bad) = session.frame_mut(0, channel).unwrap();
+        electrons.assign(&images.images_e.index_axis(ndarray::Axis(0), 1));
+        bad.fill(false);
+    }
+    session.fit(1, &Default::default()).unwrap();
+    let wavefront_nm = pointing.removed_from(&session.refine(0).unwrap().modes.coefficients_nm);
+    let bytes: Vec<u8> = wavefront_nm.iter().flat_map(|nm| nm.to_le_bytes()).collect();
+    assert_eq!(found[2].coefficients.as_ref(), Some(&bytes));
+    // What a session does not fit together, and what has one channel.
+    let all = [&WATCH[..], &["--once", "--set", "estimate.group=\"all\""]].concat();
+    desk.refuses(&all, &["estimate.group = \"all\"", "--policy full"]);
+    desk.refuses(
+        &["watch", "--stream", "cam", "--scene", "scene.toml", "--state", "stream.db"],
+        &["stream 'cam'", "one channel", "2"],
+    );
+    // Four images, one estimate: of the contradictory ones none.
+    let full = [
+        "watch",
+        "frames",
+        "--scene",
+        "scene.toml",
+        "--state",
+        "full.db",
+        "--once",
+        "--policy",
+        "full",
+        "--trust",
+        "scene",
+    ];
+    desk.succeeds(&[&full[..], &["--set", "estimate.group=\"all\""]].concat());
+    let full = rows(&desk.path("full.db"));
+    let each: Vec<_> = full.iter().map(|row| (row.name.as_str(), row.status.as_str())).collect();
+    assert_eq!(each, [("other.fits", "refused"), ("pairs.fits", "done"), ("single.fits", "refused")]);
+    assert!(full[0].reason.contains("contradictory"), "{}", full[0].reason);
+}
+
 #[test]
 fn frames_that_appear_are_taken_under_their_last_name() {
     let desk = desk_with_frames(3);

@@ -22,19 +22,20 @@ impl From<Arc<ModalFitter>> for ChannelFitters {
 }
 
 impl ChannelFitters {
-    /// Builds the models of `scene`, with the basis of modes that channels share computed once.
+    /// Builds the models of `scene`, with the basis of modes that channels share computed once;
+    /// `native` as in [`ModalFitter::new`].
     ///
     /// # Errors
     /// Those of [`ModalFitter::new`]; [`Error::Scene`] for channels with other modes than the
     /// first.
-    pub fn new(scene: &System) -> Result<Self> {
+    pub fn new(scene: &System, native: bool) -> Result<Self> {
         let Some(first) = scene.channels().first() else {
-            return Ok(Arc::new(ModalFitter::new(scene, false)?).into());
+            return Ok(Arc::new(ModalFitter::new(scene, native)?).into());
         };
         let cache = ModelCache::default();
         let channels = scene.channels().iter().map(|channel| {
             let (own, basis) = (&channel.system, cache.for_scene(&first.system, &channel.system).basis);
-            let fitter = ModalFitter::with_scene_basis(own, Recipe::from_scene(own), false, basis)?;
+            let fitter = ModalFitter::with_scene_basis(own, Recipe::from_scene(own), native, basis)?;
             Ok((channel.name.clone(), Arc::new(fitter)))
         });
         let made = Self { scene: scene.clone(), channels: channels.collect::<Result<_>>()? };
