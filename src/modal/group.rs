@@ -22,6 +22,7 @@
 //! | `consistency` | whether the images are of one wavefront |
 //! | `posterior` | what the modes leave out, marginalised |
 //! | `sequence`, `mean` | groups that have a wavefront each, and the mean of these |
+//! | `stored` | fits of groups that were made before |
 
 mod consistency;
 mod fit;
@@ -31,6 +32,7 @@ mod posterior;
 pub(in crate::modal) mod prior;
 pub(in crate::modal) mod sequence;
 mod starts;
+pub(in crate::modal) mod stored;
 pub(in crate::modal) mod unknowns;
 
 use crate::Result;

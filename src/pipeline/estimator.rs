@@ -5,7 +5,7 @@ use super::consistency::{Electrons, reconcile};
 use super::cut_out::scene_of_cut_out;
 use super::divided_images::DividedImages;
 use super::estimate::Estimate;
-use super::grouping::{Together, refuse_parts};
+use super::grouping::Together;
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, counted};
 use super::parts::PartFits;
@@ -140,8 +140,10 @@ impl Estimator {
         let found = match scene.estimate.method {
             Method::FullPhase => full_phase::estimate(&scene, policy, control, &channels),
             Method::Modal | Method::Auto => match (Together::of(&scene, policy, &channels, exposures)?, parts) {
-                (Some(together), None) => group::estimate(&scene, policy, control, &channels, &together),
-                (Some(_), Some(_)) => Err(refuse_parts(&scene)),
+                (Some(together), parts) => {
+                    let groups = self.groups(parts, &scene, (&channels, &together))?;
+                    group::estimate(&scene, policy, control, &channels, &together, groups)
+                }
                 (None, parts) => {
                     let series = self.series(parts, &scene, &channels)?;
                     channels::estimate(&scene, policy, control, &channels, series)

@@ -12,8 +12,8 @@ use super::warnings::{agreement_sentence, group_warnings, named};
 use crate::Result;
 use crate::control::{Control, Stage};
 use crate::modal::{
-    self, GroupChannel, GroupEstimate, GroupSequence, JointEstimate, Minima, ModalFitter, Search, Status,
-    are_determined,
+    self, GroupChannel, GroupEstimate, GroupSequence, GroupSeries, JointEstimate, Minima, ModalFitter, Search,
+    Sequence, Status, are_determined,
 };
 use crate::scene::{Combine, Grouping, Scene};
 use crate::statistics::median;
@@ -29,22 +29,18 @@ pub(super) fn estimate(
     control: &Control,
     channels: &[ChannelImages],
     together: &Together,
+    parts: Option<&mut GroupSeries>,
 ) -> Result<Estimate> {
     let (started, which) = (Instant::now(), fitted_images(scene, channels)?);
     control.enter(Stage::Preparing, 0);
-    let strong = channels.iter().zip(&together.weak).filter(|(_, is_weak)| !**is_weak);
-    let strong: Vec<&ChannelImages> = strong.map(|(channel, _)| channel).collect();
+    let strong = strong(channels, together);
     let alone = Channels::new(scene, policy, control, &strong)?;
-    let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
-    let is_near_known = match strong.len() {
-        0 => false,
-        all if all == channels.len() => are_determined(&wavelengths_nm),
-        _ => together.how == How::All || are_determined(&wavelengths_nm),
-    };
-    let near = is_near_known.then(|| alone.fit(None)).transpose()?;
+    let near = near_known(&alone, (channels, together))?;
     let task = GroupTask::new((scene, policy, control), (channels, together), near.as_ref(), started)?;
     if together.how == How::Groups {
-        return task.estimate(task.fit_groups(near.as_ref().map(|(_, near)| near), together.search())?);
+        let mut none = GroupSeries::default();
+        let series = parts.unwrap_or(&mut none);
+        return task.estimate(task.fit_groups(near.as_ref().map(|(_, near)| near), together.search(), series)?);
     }
     if together.how == How::All {
         let near = near.filter(|(_, near)| !near.is_contradictory());
@@ -78,6 +74,52 @@ pub(super) fn estimate(
         None if found.group.is_explained => task.estimate(found),
         None => alone.estimate(near),
     }
+}
+
+/// Fits those groups of the images of `channels` that have the numbers `part`, and the first; fits
+/// of `earlier` are taken.
+///
+/// # Errors
+/// Those of [`Sequence::fit_part`].
+pub(super) fn fit_part(
+    (scene, policy, control): (&Scene, &Policy, &Control),
+    channels: &[ChannelImages],
+    together: &Together,
+    part: &[usize],
+    earlier: GroupSeries,
+) -> Result<GroupSeries> {
+    control.enter(Stage::Preparing, 0);
+    let strong = strong(channels, together);
+    let near = near_known(&Channels::new(scene, policy, control, &strong)?, (channels, together))?;
+    let task = GroupTask::new((scene, policy, control), (channels, together), near.as_ref(), Instant::now())?;
+    let members = task.members(&all_of(channels));
+    task.sequence(&members, near.as_ref().map(|(_, near)| near), together.search()).fit_part(part, earlier)
+}
+
+/// The channels that determine the wavefront by themselves.
+fn strong<'a>(channels: &'a [ChannelImages<'a>], together: &Together) -> Vec<&'a ChannelImages<'a>> {
+    channels.iter().zip(&together.weak).filter(|(_, is_weak)| !**is_weak).map(|(channel, _)| channel).collect()
+}
+
+/// The fits of those channels `alone`, where a fit of all images needs to begin near them: where
+/// some of the `channels` are weak, or the wavelengths determine whole wavelengths.
+fn near_known(
+    alone: &Channels,
+    (channels, together): (&[ChannelImages], &Together),
+) -> Result<Option<(Vec<Fitted>, JointEstimate)>> {
+    let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
+    let strong = together.weak.iter().filter(|is_weak| !**is_weak).count();
+    let is_near_known = match strong {
+        0 => false,
+        all if all == channels.len() => are_determined(&wavelengths_nm),
+        _ => together.how == How::All || are_determined(&wavelengths_nm),
+    };
+    is_near_known.then(|| alone.fit(None)).transpose()
+}
+
+/// Every image of each channel.
+fn all_of(channels: &[ChannelImages]) -> Vec<Vec<bool>> {
+    channels.iter().map(|channel| vec![true; channel.images.len()]).collect()
 }
 
 /// How much larger than the median the difference of an image of another wavefront is. An error of
@@ -148,13 +190,23 @@ impl<'a> GroupTask<'a> {
         self.fitted(group, which, near)
     }
 
-    /// Fits each group, the first near a wavefront.
-    fn fit_groups(&self, near: Option<&JointEstimate>, search: Search) -> Result<GroupFit> {
-        let which: Vec<Vec<bool>> = self.channels.iter().map(|channel| vec![true; channel.images.len()]).collect();
-        let (members, near_nm) = (self.members(&which), near.map(|near| near.modes.coefficients_nm.as_slice()));
-        let how = (near_nm, search);
-        let group = modal::estimate_sequence(self.scene, &members, self.groups, how, self.marginalise, self.control)?;
+    /// Fits each group, the first near a wavefront; fits of `series` are taken.
+    fn fit_groups(&self, near: Option<&JointEstimate>, search: Search, series: &mut GroupSeries) -> Result<GroupFit> {
+        let which = all_of(self.channels);
+        let group = self.sequence(&self.members(&which), near, search).estimate(series)?;
         self.fitted(group, &which, near)
+    }
+
+    /// The groups of all images of `channels`, the first near a wavefront.
+    fn sequence<'b>(
+        &'b self,
+        channels: &'b [GroupChannel<'b>],
+        near: Option<&'b JointEstimate>,
+        search: Search,
+    ) -> Sequence<'b> {
+        let near_nm = near.map(|near| near.modes.coefficients_nm.as_slice());
+        let &Self { scene, groups, marginalise, control, .. } = self;
+        Sequence { scene, channels, groups, near_nm, search, marginalise, control }
     }
 
     /// The channels with their images `which`.

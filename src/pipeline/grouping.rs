@@ -104,6 +104,20 @@ impl Together {
         Ok(Some(Self { weak, how, groups }))
     }
 
+    /// Refuses parts of an estimate whose images are one problem.
+    ///
+    /// # Errors
+    /// [`Error::Scene`].
+    pub(super) fn refuse_parts(&self, scene: &Scene) -> Result<()> {
+        if self.how == How::Groups {
+            return Ok(());
+        }
+        Err(Error::Scene(format!(
+            "{}: all its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
+            scene.name()
+        )))
+    }
+
     /// How the minima are sought.
     pub(super) fn search(&self) -> Search {
         match self {
@@ -209,12 +223,4 @@ pub(super) fn fitted_images(scene: &Scene, channels: &[ChannelImages]) -> Result
             first.saturating_sub(1)
         ))),
     }
-}
-
-/// The error of parts of an estimate of `scene`, whose images are fitted together.
-pub(super) fn refuse_parts(scene: &Scene) -> Error {
-    Error::Scene(format!(
-        "{}: its images are fitted together, which cannot be shared among parts: run it as one ('cophase estimate' without --part)",
-        scene.name()
-    ))
 }

@@ -2,8 +2,8 @@
 //! do not belong together are refused.
 
 use crate::{Desk, Done};
-use cophase::io::{FitsReader, FitsWriter, Pixel};
-use ndarray::s;
+use cophase::io::{ELECTRON, FitsReader, FitsWriter, Pixel, read_channels};
+use ndarray::{Axis, s};
 use std::path::Path;
 
 /// The bytes of a FITS file without the cards on the time of the run, and without the checksums,
@@ -96,6 +96,36 @@ fn few_images_channels_and_larger_models_have_parts_too() {
     desk.succeeds(&["estimate", "pair.fits", "-o", "whole.fits"]);
     merged(&desk, &["pair.fits"], 2);
     are_the_same(&desk.path("whole.fits"), &desk.path("merged.fits"));
+}
+
+#[test]
+fn a_sequence_of_groups_in_parts_has_the_bits_of_one_run() {
+    // Four pairs of little defocus: four groups, the second of which cannot be used.
+    let desk = Desk::with_scene();
+    let pair = std::fs::read_to_string(desk.path("scene.toml")).unwrap().replacen(
+        "[aberrations]",
+        "[[image.channel]]\nname = \"plus\"\ndiversity_focus_waves_rms = 0.3\n\n[[image.channel]]\nname = \"minus\"\n\
+         diversity_focus_waves_rms = -0.3\n\n[estimate]\ngroup = \"channels\"\n\n[aberrations]",
+        1,
+    );
+    std::fs::write(desk.path("scene.toml"), pair).unwrap();
+    desk.succeeds(&["image", "scene.toml", "-o", "made.fits", "--set", "image.count=4"]);
+    for (mut images, name) in read_channels(desk.path("made.fits"), None).unwrap().into_iter().zip(["a.fits", "b.fits"])
+    {
+        if name == "b.fits" {
+            images.data.index_axis_mut(Axis(0), 1).fill(7.0);
+        }
+        let mut file = FitsWriter::create(desk.path(name)).unwrap();
+        file.image("IMAGES", &images.data, Pixel::F32, ELECTRON).unwrap();
+        file.finish().unwrap();
+    }
+    let images = ["--channel", "plus=a.fits", "--channel", "minus=b.fits", "--scene", "scene.toml"];
+    desk.succeeds(&[&["estimate", "-o", "whole.fits"], &images[..]].concat());
+    assert!(merged(&desk, &images, 3).starts_with("0 fits"), "every group is in the parts");
+    are_the_same(&desk.path("whole.fits"), &desk.path("merged.fits"));
+    // Images of one group are one fit.
+    let all = ["estimate", "made.fits", "--part", "1/2", "-o", "part.fits", "--set", "estimate.group=\"all\""];
+    desk.refuses(&all, &["fitted together", "--part"]);
 }
 
 /// What a script of a job array prints as task `task` of three, as Slurm starts it.

@@ -24,9 +24,11 @@ use crate::modal::combine::sequence::{SEQUENCE, scatter};
 use crate::modal::combine::single_image::centre;
 use crate::modal::combine::static_maps::StaticMaps;
 use crate::modal::fitter::ModalFitter;
+use crate::modal::group::Minima;
 use crate::modal::group::fit::{Group, Trial};
 use crate::modal::group::posterior::{GroupEquations, LeftOutOfChannels};
 use crate::modal::group::prior::Prior;
+use crate::modal::group::stored::StoredGroup;
 use crate::modal::left_out::{Equations, Step, WithLeftOut, priors};
 use crate::scene::Combine;
 use ndarray::{Array1, Array2, Axis, s};
@@ -91,13 +93,45 @@ impl FittedGroup {
         fitter.motions.remove(&mut coefficients_nm);
         Ok(Self {
             coefficients_nm: coefficients_nm.into(),
-            information: without(left, &tilts),
+            // In the layout of one that is read from a file, so that sums have the same rounding.
+            information: without(left, &tilts).as_standard_layout().into_owned(),
             score,
             effect: effect.slice(s![..modes]).to_owned(),
             inflation,
             prior: best.prior.clone(),
             pixels: group.pixels(),
         })
+    }
+
+    /// What a group `stored` says, of the prior `prior` before its images said more; `None` for one
+    /// of another size.
+    pub(super) fn of_stored(stored: &StoredGroup, prior: Prior) -> Option<Self> {
+        let StoredGroup { coefficients_nm, effect, score, information, levels_nm, inflation, pixels, .. } = stored;
+        let (count, modes) = (score.len(), coefficients_nm.len());
+        let is_whole = effect.len() == modes && levels_nm.len() == prior.levels_nm().len();
+        Some(Self {
+            coefficients_nm: coefficients_nm.clone().into(),
+            information: Array2::from_shape_vec((count, count), information.clone()).ok().filter(|_| is_whole)?,
+            score: score.clone().into(),
+            effect: effect.clone().into(),
+            inflation: *inflation,
+            prior: prior.with_levels(levels_nm),
+            pixels: *pixels,
+        })
+    }
+
+    /// What it says, as it is stored.
+    pub(super) fn stored(&self, minima: Minima) -> StoredGroup {
+        StoredGroup {
+            coefficients_nm: self.coefficients_nm.to_vec(),
+            effect: self.effect.to_vec(),
+            score: self.score.to_vec(),
+            information: self.information.iter().copied().collect(),
+            levels_nm: self.prior.levels_nm(),
+            inflation: self.inflation,
+            pixels: self.pixels,
+            minima,
+        }
     }
 
     /// Its modes with `prior` about `mean_nm`, and their covariance from the noise of its images,

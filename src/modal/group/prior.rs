@@ -85,6 +85,17 @@ impl Prior {
         Self { sets, relative, tilts }
     }
 
+    /// Level of each set, nm.
+    pub(super) fn levels_nm(&self) -> Vec<f64> {
+        self.sets.iter().map(|set| set.level_nm).collect()
+    }
+
+    /// The same prior with these levels of its sets.
+    pub(super) fn with_levels(mut self, levels_nm: &[f64]) -> Self {
+        self.sets.iter_mut().zip(levels_nm).for_each(|(set, nm)| set.level_nm = *nm);
+        self
+    }
+
     /// Standard deviation of each mode, nm.
     pub(super) fn sigma_nm(&self) -> Array1<f64> {
         let mut sigma_nm = self.relative.clone();

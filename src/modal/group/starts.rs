@@ -35,7 +35,7 @@ const STARTS: usize = 4;
 const NULL_FLOOR: f64 = 1e-10;
 
 /// The minima of a group.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Minima {
     /// Number of starts.
     pub(crate) starts: usize,

@@ -3,13 +3,14 @@
 use super::identity::identity;
 use super::{FittedPart, Part, PartFits};
 use crate::control::Stage;
-use crate::modal::FitSeries;
+use crate::modal::{FitSeries, GroupSeries};
 use crate::pipeline::channels::{ChannelImages, Channels};
 use crate::pipeline::cut_out::scene_of_cut_out;
 use crate::pipeline::divided_images::DividedImages;
 use crate::pipeline::estimate::Estimate;
 use crate::pipeline::estimator::{EstimateInput, Estimator, acknowledged};
-use crate::pipeline::grouping::{Together, refuse_parts};
+use crate::pipeline::group;
+use crate::pipeline::grouping::Together;
 use crate::pipeline::images::Images;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};
@@ -83,12 +84,18 @@ impl Estimator {
         let EstimateInput { scene, channels, .. } = self.ready(images, &cut)?;
         let identity = self.identity(&scene, &channels)?;
         let images = channels.iter().map(|channel| channel.images.len()).sum();
-        if Together::of(&scene, &self.policy, &channels, exposures)?.is_some() {
-            return Err(refuse_parts(&scene));
+        let mut earlier = PartFits::of(identity, earlier);
+        if let Some(together) = Together::of(&scene, &self.policy, &channels, exposures)? {
+            together.refuse_parts(&scene)?;
+            let groups = part.items(together.groups.len());
+            let task = (&scene, &self.policy, &self.control);
+            let GroupSeries { groups, fits, .. } =
+                group::fit_part(task, &channels, &together, &groups, earlier.groups)?;
+            return Ok(FittedPart { part, images, command: Vec::new(), identity, fits, groups });
         }
         let all: Vec<&ChannelImages> = channels.iter().collect();
         let channels = Channels::new(&scene, &self.policy, &self.control, &all)?;
-        let (mut earlier, mut fits) = (PartFits::of(identity, earlier), BTreeMap::new());
+        let mut fits = BTreeMap::new();
         for channel in 0..all.len() {
             let task = channels.task(channel);
             let which = part.items(task.images.len());
@@ -96,7 +103,7 @@ impl Estimator {
             channels.named(channel, task.fit_series(&which, &mut series))?;
             fits.extend(which.into_iter().map(|image| (channel, image)).zip(series.into_fits()));
         }
-        Ok(FittedPart { part, images, command: Vec::new(), identity, fits })
+        Ok(FittedPart { part, images, command: Vec::new(), identity, fits, groups: BTreeMap::new() })
     }
 
     /// The series of `parts` for the fits of the `channels`.
@@ -110,14 +117,38 @@ impl Estimator {
         channels: &[ChannelImages],
     ) -> Result<Option<&'a mut [FitSeries]>> {
         let Some(parts) = parts else { return Ok(None) };
-        if parts.identity != self.identity(scene, channels)? {
-            return Err(Error::Value(
-                "the parts are of another estimate: the images or the scene have changed since they were made".into(),
-            ));
-        }
+        self.check_identity(parts, scene, channels)?;
         let series = channels.iter().enumerate().map(|(number, channel)| parts.take(number, 0..channel.images.len()));
         parts.series = series.collect();
         Ok(Some(&mut parts.series))
+    }
+
+    /// The groups of `parts` for the images of the `channels` that are fitted `together`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where the parts are of another estimate; [`Error::Scene`] where all images
+    /// are one group.
+    pub(in crate::pipeline) fn groups<'a>(
+        &self,
+        parts: Option<&'a mut PartFits>,
+        scene: &Scene,
+        (channels, together): (&[ChannelImages], &Together),
+    ) -> Result<Option<&'a mut GroupSeries>> {
+        let Some(parts) = parts else { return Ok(None) };
+        together.refuse_parts(scene)?;
+        self.check_identity(parts, scene, channels)?;
+        Ok(Some(&mut parts.groups))
+    }
+
+    /// # Errors
+    /// [`Error::Value`] where the parts are of another estimate.
+    fn check_identity(&self, parts: &PartFits, scene: &Scene, channels: &[ChannelImages]) -> Result<()> {
+        if parts.identity == self.identity(scene, channels)? {
+            return Ok(());
+        }
+        Err(Error::Value(
+            "the parts are of another estimate: the images or the scene have changed since they were made".into(),
+        ))
     }
 
     /// Identity of the estimate from these images.

@@ -2,10 +2,11 @@
 
 use super::{Fits, FittedPart, Part};
 use crate::io::{Card, Column, FitsReader, FitsWriter, Pixel};
-use crate::modal::{Minimum, StoredFit};
+use crate::modal::{Minima, Minimum, StoredFit, StoredGroup};
 use crate::optimize::StopReason;
 use crate::{Error, Result};
 use ndarray::Array2;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Name of a column and the number of a fit in it.
@@ -26,7 +27,9 @@ impl FittedPart {
     /// Writes the part, whole or not at all: the cards `PART`, `PARTS` and `NIMAGES`, the tables
     /// `FITS`, a row for each fit, and `COMMAND`; for each fit the coefficients (`COEFFICIENTS`,
     /// nm) and the weights of its pixels (`WEIGHTS`). Each of these is one row after the other,
-    /// because channels differ in size.
+    /// because channels differ in size. Of a sequence of groups the table `GROUPS`, and
+    /// `GROUP_VALUES`: of each group modes, effect of the diversities, levels of the prior, score
+    /// and information.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be written.
@@ -66,6 +69,9 @@ impl FittedPart {
         };
         row("COEFFICIENTS", "nm", |fit| &fit.minimum.coefficients_nm)?;
         row("WEIGHTS", "", |fit| &fit.weights)?;
+        if !self.groups.is_empty() {
+            write_groups(&mut file, &self.groups)?;
+        }
         file.finish()
     }
 
@@ -113,8 +119,82 @@ impl FittedPart {
             let fit = StoredFit { step: steps[row], chain: chains[row].clone(), minimum, weights };
             fits.entry((channels[row], image_numbers[row])).or_default().push(fit);
         }
-        Ok(Self { part, images, command: file.text_column("COMMAND", "WORD")?, identity, fits })
+        let groups = match file.has("GROUPS") {
+            true => read_groups(&mut file)?.ok_or_else(|| damaged("GROUPS"))?,
+            false => BTreeMap::new(),
+        };
+        Ok(Self { part, images, command: file.text_column("COMMAND", "WORD")?, identity, fits, groups })
     }
+}
+
+fn write_groups(file: &mut FitsWriter, groups: &BTreeMap<usize, StoredGroup>) -> Result<()> {
+    let counts = |name, of: fn(&StoredGroup) -> usize| {
+        Column::i64(name, groups.values().map(|group| of(group) as i64).collect())
+    };
+    let reals = |name, of: fn(&StoredGroup) -> f64| Column::f64(name, "", groups.values().map(of).collect());
+    file.table(
+        "GROUPS",
+        &[
+            Column::i64("GROUP", groups.keys().map(|&number| number as i64).collect()),
+            counts("MODES", |group| group.coefficients_nm.len()),
+            counts("LEVELS", |group| group.levels_nm.len()),
+            counts("UNKNOWNS", |group| group.score.len()),
+            counts("PIXELS", |group| group.pixels),
+            counts("STARTS", |group| group.minima.starts),
+            counts("IN_BEST", |group| group.minima.in_best),
+            counts("HAS_TWIN", |group| group.minima.has_twin.into()),
+            counts("SUSPICIOUS", |group| group.minima.is_suspicious.into()),
+            reals("NEXT", |group| group.minima.next.unwrap_or(f64::NAN)),
+            reals("INFLATION", |group| group.inflation),
+        ],
+    )?;
+    let each = groups.values().flat_map(|group| {
+        let StoredGroup { coefficients_nm, effect, levels_nm, score, information, .. } = group;
+        [coefficients_nm, effect, levels_nm, score, information]
+    });
+    let values: Vec<f64> = each.flatten().copied().collect();
+    let row = Array2::from_shape_vec((1, values.len()), values).map_err(|error| Error::Internal(error.to_string()))?;
+    file.image("GROUP_VALUES", &row, Pixel::F64, "")
+}
+
+/// What [`write_groups`] has written; `None` where it is damaged.
+fn read_groups(file: &mut FitsReader) -> Result<Option<BTreeMap<usize, StoredGroup>>> {
+    let names = ["GROUP", "MODES", "LEVELS", "UNKNOWNS", "PIXELS", "STARTS", "IN_BEST", "HAS_TWIN", "SUSPICIOUS"];
+    let columns = names.map(|name| file.i64_column("GROUPS", name));
+    let columns = columns.into_iter().collect::<Result<Vec<_>>>()?;
+    let [next, inflation] = [file.f64_column("GROUPS", "NEXT")?, file.f64_column("GROUPS", "INFLATION")?];
+    let count = |name: usize, row: usize| usize::try_from(columns[name][row]).ok();
+    let values = file.row(Some("GROUP_VALUES"))?;
+    let read = || {
+        let mut sizes = Vec::new();
+        for row in 0..next.len() {
+            let [modes, levels, unknowns] = [count(1, row)?, count(2, row)?, count(3, row)?];
+            sizes.extend([modes, modes, levels, unknowns, unknowns.checked_mul(unknowns)?]);
+        }
+        let mut parts = split(&values, &sizes)?.into_iter();
+        let mut groups = BTreeMap::new();
+        for row in 0..next.len() {
+            let group = StoredGroup {
+                coefficients_nm: parts.next()?,
+                effect: parts.next()?,
+                levels_nm: parts.next()?,
+                score: parts.next()?,
+                information: parts.next()?,
+                inflation: inflation[row],
+                pixels: count(4, row)?,
+                minima: Minima {
+                    starts: count(5, row)?,
+                    in_best: count(6, row)?,
+                    next: Some(next[row]).filter(|next| !next.is_nan()),
+                    has_twin: count(7, row)? > 0,
+                    is_suspicious: count(8, row)? > 0,
+                },
+            };
+            groups.insert(count(0, row)?, group);
+        }
+        Some(groups)
+    };
+    Ok(read())
 }
 
 /// `values` in pieces of these sizes; `None` where they are not as many.

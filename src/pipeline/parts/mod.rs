@@ -1,12 +1,13 @@
 //! Parts of an estimate: the fits of some of its images, made by one process of several, and the
 //! estimate from all of them.
 //!
-//! Part i of n has every n-th image from the i-th on. It ends with the fits of its images
-//! ([`Estimator::fit_part`]), and is a file ([`FittedPart::write`]).
+//! Part i of n has every n-th image, or group of a sequence of groups, from the i-th on. It ends
+//! with the fits of its images ([`Estimator::fit_part`]), and is a file ([`FittedPart::write`]).
 //! [`Estimator::estimate_from_parts`] makes the estimate as without them, and takes the fits from
 //! them. Fits that depend on all images (restarts of those that are outliers of a sequence, a
 //! larger model) are in no part: it makes them itself, so that the estimate has the bits of one
-//! run.
+//! run. The first group of a sequence of groups, near which the others are fitted, is in every
+//! part.
 //!
 //! [`Estimator::fit_part`]: super::Estimator::fit_part
 //! [`Estimator::estimate_from_parts`]: super::Estimator::estimate_from_parts
@@ -15,7 +16,7 @@ mod estimator;
 mod file;
 mod identity;
 
-use crate::modal::{FitSeries, StoredFit};
+use crate::modal::{FitSeries, GroupSeries, StoredFit, StoredGroup};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -85,6 +86,8 @@ pub struct FittedPart {
     /// Identity of the whole estimate.
     identity: u128,
     fits: Fits,
+    /// Of a sequence of groups, by their numbers, what each says.
+    groups: BTreeMap<usize, StoredGroup>,
 }
 
 /// Fits of each image in the order in which they were made, by channel and image.
@@ -106,7 +109,8 @@ impl FittedPart {
 /// Fits of parts, for the estimate that they are of.
 pub struct PartFits {
     identity: u128,
-    fits: Fits,
+    /// What is left of the fits, and the groups.
+    groups: GroupSeries,
     /// Of each channel, in the estimate that takes them.
     series: Vec<FitSeries>,
 }
@@ -149,18 +153,22 @@ impl PartFits {
     /// The fits of those `parts` that are of the estimate `identity`; of an image in two, those of
     /// the last.
     fn of(identity: u128, parts: Vec<FittedPart>) -> Self {
-        let parts = parts.into_iter().filter(|part| part.identity == identity);
-        Self { identity, fits: parts.flat_map(|part| part.fits).collect(), series: Vec::new() }
+        let mut groups = GroupSeries::default();
+        for part in parts.into_iter().filter(|part| part.identity == identity) {
+            groups.fits.extend(part.fits);
+            groups.groups.extend(part.groups);
+        }
+        Self { identity, groups, series: Vec::new() }
     }
 
     /// Takes out the fits of these images of a channel.
     fn take(&mut self, channel: usize, images: impl Iterator<Item = usize>) -> FitSeries {
-        FitSeries::new(images.map(|image| self.fits.remove(&(channel, image)).unwrap_or_default()))
+        FitSeries::new(images.map(|image| self.groups.fits.remove(&(channel, image)).unwrap_or_default()))
     }
 
     /// Number of fits of images that the estimate has made because no part had them.
     pub fn made(&self) -> usize {
-        self.series.iter().map(FitSeries::made).sum()
+        self.groups.made + self.series.iter().map(FitSeries::made).sum::<usize>()
     }
 }
 
