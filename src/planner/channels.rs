@@ -6,7 +6,9 @@
 //! planned models and combined.
 //!
 //! A joint estimate is a mean of those of the channels whose weights add up to 1 for each mode, so
-//! that its error from the models is about as large as theirs at most.
+//! that its error from the models is about as large as theirs at most. Images in focus do not
+//! determine a wavefront by themselves: their channels have the common choices, which a defocus
+//! makes finer than they need, and the errors are those without them, larger than with them.
 
 use super::plan::{FoundPlan, TriedValue};
 use super::search::PlanSearch;
@@ -23,8 +25,8 @@ const PISTONS: f64 = 0.05;
 
 /// As [`super::plan`], for a `scene` with channels.
 pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<FoundPlan> {
-    refuse_focus(scene)?;
-    let drawn = scene.channels().iter().map(|channel| with_small_pistons(scene, &channel.system));
+    let tried = tried(scene)?;
+    let drawn = tried.iter().map(|&channel| with_small_pistons(scene, &scene.channels()[channel].system));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
     let searches = drawn.iter().map(|own| PlanSearch::new(own, budget_nm, control));
     let mut searches = searches.collect::<Result<Vec<_>>>()?;
@@ -38,20 +40,19 @@ pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<
         search.trials.share_noise(share.map(|share| if share.is_finite() { share } else { 1.0 }));
         plans.push(search.run()?);
     }
-    let planned = planned(scene, &plans)?;
-    let fitters = planned.channels().iter().zip(&references).map(|(channel, like)| {
-        let own = with_small_pistons(&planned, &channel.system)?;
+    let planned = planned(scene, &tried, &plans)?;
+    let fitters = tried.iter().zip(&references).map(|(&channel, like)| {
+        let own = with_small_pistons(&planned, &planned.channels()[channel].system)?;
         like.fitter.variant(&own, recipe(&own))
     });
     let fitters: Vec<ModalFitter> = fitters.collect::<Result<_>>()?;
     let pairs: Vec<_> = fitters.iter().zip(&searches).map(|(fitter, search)| (fitter, &search.trials)).collect();
     let chosen = joint_price(scene, &pairs, control)?;
     let (mut choices, mut omissions) = (Vec::new(), Vec::new());
-    for (channel, plan) in scene.channels().iter().zip(plans) {
+    for (channel, plan) in tried.iter().map(|&channel| &planned.channels()[channel]).zip(plans) {
         let name = Some(channel.name.clone());
-        let of_plan = planned.channels().iter().find(|own| own.name == channel.name);
         choices.extend(plan.choices.into_iter().map(|choice| {
-            let kept = of_plan.is_some_and(|own| has_value(&own.system, &choice));
+            let kept = has_value(&channel.system, &choice);
             TriedValue { channel: name.clone(), kept, ..choice }
         }));
         let own = plan.omissions.into_iter();
@@ -60,18 +61,22 @@ pub(super) fn plan(scene: &System, budget_nm: f64, control: &Control) -> Result<
     Ok(FoundPlan { system: planned, reference, chosen, choices, omissions })
 }
 
+/// The channels that are tried: those that are not in focus.
+///
 /// # Errors
-/// [`Error::Scene`] for a channel whose images do not determine the wavefront by themselves.
-fn refuse_focus(scene: &System) -> Result<()> {
-    match scene.channels().iter().find(|channel| !has_diversity(&channel.system.image)) {
-        None => Ok(()),
-        Some(channel) => Err(Error::Scene(format!(
-            "{}: the channel '{}' is in focus, where an image by itself does not determine the wavefront, and a plan tries each channel by \
-             itself: leave it out of the scene that is planned, and add it to the plan",
-            scene.name(),
-            channel.name
-        ))),
+/// [`Error::Scene`] where there is none.
+fn tried(scene: &System) -> Result<Vec<usize>> {
+    let channels = scene.channels();
+    let tried: Vec<usize> =
+        (0..channels.len()).filter(|&channel| has_diversity(&channels[channel].system.image)).collect();
+    if tried.is_empty() {
+        return Err(Error::Scene(format!(
+            "{}: all channels are in focus, where an image by itself does not determine the wavefront, and a plan tries each channel by itself: \
+             one that is defocused is needed",
+            scene.name()
+        )));
     }
+    Ok(tried)
 }
 
 /// The scene of a channel, with pistons that its images determine where the channels have several
@@ -108,8 +113,8 @@ fn has_value(planned: &System, choice: &TriedValue) -> bool {
     value.as_ref() == Some(&choice.value)
 }
 
-/// The system with the choices of the plans of its channels.
-fn planned(scene: &System, plans: &[FoundPlan]) -> Result<System> {
+/// The system with the choices of the `plans` of the channels `tried`.
+fn planned(scene: &System, tried: &[usize], plans: &[FoundPlan]) -> Result<System> {
     let estimates = || plans.iter().map(|plan| &plan.system.estimate);
     let samples = estimates().filter_map(|own| own.samples).max();
     // A scene names them only where every channel has a filter with a width; else each channel
@@ -128,7 +133,8 @@ fn planned(scene: &System, plans: &[FoundPlan]) -> Result<System> {
         estimate.step_tolerance_nm = tolerance_nm.or(estimate.step_tolerance_nm);
     })?;
     common.with_each_channel(|channel, sections| {
-        if let Some(crop @ Crop::Pixels(_)) = plans.get(channel).map(|plan| plan.system.image.crop_pixels) {
+        let plan = tried.iter().position(|&own| own == channel).map(|place| &plans[place]);
+        if let Some(crop @ Crop::Pixels(_)) = plan.map(|plan| plan.system.image.crop_pixels) {
             sections.image.crop_pixels = crop;
         }
     })

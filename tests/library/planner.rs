@@ -227,10 +227,11 @@ fn unplannable_scenes_are_refused() {
     assert!(matches!(planner::plan(&small(&[]), 1.0, &control), Err(Error::Interrupted(_))));
 }
 
-/// A pair and two colours, whose channels differ in what they need.
-const CHANNELS: [&str; 2] = [
+/// A pair and two colours, whose channels differ in what they need, and one with another in focus.
+const CHANNELS: [&str; 3] = [
     "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -0.6\n",
     "[[image.channel]]\nname = \"long\"\n[[image.channel]]\nname = \"short\"\nwavelength_nm = 1600\nbandwidth_fraction = 0.1\n",
+    "[[image.channel]]\nname = \"a\"\n[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n",
 ];
 
 #[test]
@@ -249,7 +250,9 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
         assert!(plan.choices.iter().any(|choice| choice.kept && choice.value == samples.to_string()));
         for channel in plan.scene.channels() {
             assert_eq!(channel.scene.estimate.samples, Some(samples));
-            assert!(matches!(channel.scene.image.crop_pixels, Crop::Pixels(_)));
+            // That in focus is not tried.
+            let is_planned = matches!(channel.scene.image.crop_pixels, Crop::Pixels(_));
+            assert_eq!(is_planned, channel.name != "focus");
         }
         // Other wavefronts, with noise: their mean square error is within the budget, and near what
         // the plan expects.
@@ -269,8 +272,10 @@ fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
         println!("{rms_nm:?} nm, {model_nm:?} and {noise_nm:?} planned, {samples} samples");
         for part in [0, 1] {
             // The planned error of the model is the largest of eight draws; noise of 6 and 14 modes
-            // scatters by a tenth in the mean of eight.
-            assert!(rms_nm[part] < plan.budget_nm && rms_nm[part] > 0.7 * noise_nm[part], "{rms_nm:?}");
+            // scatters by a tenth in the mean of eight. What is planned is without the image in
+            // focus, which at best is as good as the other.
+            let least = if names[1] == "focus" { 0.5 } else { 0.7 };
+            assert!(rms_nm[part] < plan.budget_nm && rms_nm[part] > least * noise_nm[part], "{rms_nm:?}");
         }
     }
 }
@@ -287,10 +292,9 @@ fn an_estimate_plans_the_channels_of_a_scene_with_a_budget() {
 }
 
 #[test]
-fn a_channel_in_focus_is_not_planned() {
-    let focus =
-        "[[image.channel]]\nname = \"a\"\n[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n";
+fn channels_in_focus_alone_are_not_planned() {
+    let focus = CHANNELS[2].replace("\"a\"\n", "\"a\"\ndiversity_focus_waves_rms = 0.0\n");
     let given = Scene::from_text(&format!("{SMALL}\n{focus}"), Path::new("")).unwrap();
     let error = plan(&given, 2.0).unwrap_err().to_string();
-    assert_facts(&error, "channel 'focus' | in focus");
+    assert_facts(&error, "all channels are in focus | defocused");
 }

@@ -24,7 +24,7 @@ Cramér-Rao bound of the candidate's pixels for the scene's star, over the root 
 estimate would restart its fits and might report a misfit. A choice never changes which modes are estimated: what fewer \
 of them would cost is a row of the table.
 
-Of a scene with channels each is planned by itself, with the noise of all together; the first row and the last are of the joint estimate. \
+Of a scene with channels each but those in focus is planned by itself, with the noise of all together; the first row and the last are of the joint estimate. \
 Keys of [estimate] are those of all channels, and a key of [image] is the channel's own. Where channels have several wavelengths the \
 pistons that are drawn are at most a twentieth of the shortest (RMS).
 
