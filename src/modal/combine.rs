@@ -148,6 +148,12 @@ impl ModalEstimate {
         &self.by_modes.as_ref().unwrap_or(&self.images)[image]
     }
 
+    /// The worst status among the images by these reports.
+    pub(crate) fn status_by_modes(&self) -> &Status {
+        let reports = self.by_modes.as_ref().unwrap_or(&self.images);
+        Status::worst(reports.iter().map(|image| &image.status))
+    }
+
     /// What the modes leave out, where it is marginalised.
     pub(crate) fn left_out(&self) -> Option<&WithLeftOut> {
         self.left_out.as_ref()

@@ -388,6 +388,7 @@ impl Normal {
             integers: Vec::new(),
             diversity_effect_nm,
             disagreement: self.consistency.of_all,
+            disagreement_by_modes: self.consistency.of_all,
             channels_nm: Vec::new(),
         })
     }

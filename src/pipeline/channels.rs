@@ -177,13 +177,14 @@ impl<'a> Channels<'a> {
         let mut fits = each.collect::<Result<Vec<_>>>()?;
         let mut joint = self.combine(&fits)?;
         for round in (1..=ROUNDS).filter(|_| self.policy.restart) {
-            let is_wrong = joint.is_contradictory();
-            if !is_wrong && fits.iter().all(Fitted::is_explained) {
+            let is_explained = |fitted: &Fitted| *fitted.fit.1.status_by_modes() == Status::Ok;
+            if !joint.is_contradictory_by_modes() && fits.iter().all(is_explained) {
                 break;
             }
             if self.improve(&mut fits, &joint, round)? {
                 joint = self.combine(&fits)?;
-            } else if !is_wrong {
+            } else if !joint.is_contradictory() {
+                // An error that all minima have, and that what the modes leave out may explain.
                 break;
             }
         }

@@ -71,6 +71,8 @@ pub(crate) struct JointEstimate {
     pub(crate) diversity_effect_nm: Option<Array1<f64>>,
     /// Scatter of the channels about the estimate over its expectation, and its degrees of freedom.
     pub(crate) disagreement: (f64, f64),
+    /// The same by the modes alone, before what these leave out explains a part of it.
+    pub(crate) disagreement_by_modes: (f64, f64),
     /// Modes by each channel, with the whole wavelengths of its pistons, nm.
     pub(crate) channels_nm: Vec<Vec<f64>>,
 }
@@ -154,7 +156,8 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
     if is_fitted && share <= LEAST_SHARE {
         found = normal(false)?;
     }
-    let mut disagreement = found.disagreement(&likelihoods);
+    let disagreement_by_modes = found.disagreement(&likelihoods);
+    let mut disagreement = disagreement_by_modes;
     let diversity_effect_nm = (!found.has_amplitude).then(|| {
         let each = likelihoods.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
         found.covariance.dot(&each.fold(Array1::zeros(count), |sum, one| sum + one))
@@ -190,6 +193,7 @@ pub(crate) fn joint(scene: &System, channels: &[ChannelFit], names: &[String]) -
         integers,
         diversity_effect_nm,
         disagreement,
+        disagreement_by_modes,
         channels_nm: likelihoods.iter().map(|channel| channel.coefficients_nm.to_vec()).collect(),
     })
 }
@@ -204,6 +208,12 @@ impl JointEstimate {
     /// Whether the channels differ by more than their noise.
     pub(crate) fn is_contradictory(&self) -> bool {
         contradict(self.disagreement)
+    }
+
+    /// Whether they do so by the modes alone: what these leave out explains wrong whole wavelengths
+    /// of many segments, too.
+    pub(crate) fn is_contradictory_by_modes(&self) -> bool {
+        contradict(self.disagreement_by_modes)
     }
 }
 

@@ -262,6 +262,7 @@ impl Sum {
             integers: Vec::new(),
             diversity_effect_nm: Some(noise_nm2.dot(&self.effect)),
             disagreement: (1.0, 0.0),
+            disagreement_by_modes: (1.0, 0.0),
             channels_nm: Vec::new(),
         })
     }
