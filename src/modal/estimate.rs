@@ -51,7 +51,14 @@ impl ModalFitter {
         control: &Control,
     ) -> Result<ModalEstimate> {
         let started = Instant::now();
-        let fitted = self.fit_all(chain, cube, start_nm, series, control)?;
+        // What the modes leave out does not depend on the images, and the fit of one image has one
+        // thread.
+        let mut left_out = Ok(());
+        let fitted = rayon::in_place_scope(|scope| {
+            scope.spawn(|_| left_out = self.left_out().map(drop));
+            self.fit_all(chain, cube, start_nm, series, control)
+        })?;
+        left_out?;
         self.combined(chain, fitted, !self.scene.has_changing_wavefront(), started)
     }
 

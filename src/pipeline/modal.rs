@@ -134,7 +134,7 @@ impl ExpectedErrors {
             let gram = MapGram::of_basis(pupil, &model.basis)?;
             return Ok(Self { fitted: MapErrors { gram, segment_modes }, whole: None });
         };
-        let products = whole.basis().gram(&(&pupil.amplitude / pupil.weight_sum()))?;
+        let products = whole.products().clone();
         let gram = MapGram::of_products(pupil, whole.basis(), products.clone())?;
         let fitted = MapErrors { gram: gram.of_modes(whole.fitted()), segment_modes };
         Ok(Self { fitted, whole: Some((MapErrors { gram, segment_modes: whole.segment_modes() }, products)) })

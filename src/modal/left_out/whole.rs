@@ -22,6 +22,8 @@ pub(in crate::modal) struct WholeBasis {
     places: [Vec<usize>; 2],
     /// Those that were left out, among the unknowns with a prior.
     left_out: Vec<usize>,
+    /// Mean products over the pupil.
+    products: Array2<f64>,
 }
 
 impl WholeBasis {
@@ -57,7 +59,8 @@ impl WholeBasis {
         let basis = of_segments.followed_by(of_ncpa)?;
         let fitted = (0..count).chain(segment_modes..segment_modes + own.len() - count).collect();
         let left_out = (count..segment_modes).chain(basis.len() - ncpa.len()..basis.len()).collect();
-        Ok(Self { basis, segment_modes, places: [fitted, left_out], left_out: [segments, ncpa].concat() })
+        let products = basis.gram(&(&pupil.amplitude / pupil.weight_sum()))?;
+        Ok(Self { basis, segment_modes, places: [fitted, left_out], left_out: [segments, ncpa].concat(), products })
     }
 }
 
@@ -140,6 +143,11 @@ impl WholeWavefront {
     /// All modes as maps.
     pub(crate) fn basis(&self) -> &Basis {
         &self.basis.basis
+    }
+
+    /// Mean products of all over the pupil.
+    pub(crate) fn products(&self) -> &Array2<f64> {
+        &self.basis.products
     }
 
     /// Number of those of the segments, which are the first.
