@@ -58,6 +58,8 @@ pub struct Posterior {
     pub covariance_nm2: Array2<f64>,
     /// Logarithm of the marginal likelihood, but for a constant of the data.
     pub log_marginal_likelihood: f64,
+    /// Logarithm of the determinant of 1 + σ F σ, with the prior standard deviations σ.
+    log_determinant: f64,
     /// Prior RMS of the coefficients of each group, nm.
     pub prior_rms_nm: Vec<f64>,
 }
@@ -122,12 +124,12 @@ pub fn maximise_marginal_likelihood(
         if gain < TOLERANCE {
             break;
         }
-        let (before, mut share) = (objective(&found, groups, &variances), 1.0);
+        let mut share = 1.0;
         let better = loop {
             let each = variances.iter().zip(groups).zip(&step);
             let trial: Vec<f64> = each.map(|((nm2, group), step)| group.moved_nm2(*nm2, share * step)).collect();
             let next = posterior(information, b, groups, &trial)?;
-            if objective(&next, groups, &trial) >= before {
+            if rise([&found, &next], groups, [&variances, &trial]) >= 0.0 {
                 break Some((trial, next));
             }
             share *= 0.5;
@@ -142,10 +144,27 @@ pub fn maximise_marginal_likelihood(
     Ok(found)
 }
 
-/// Logarithm of what is maximised over the variances, but for a constant.
-fn objective(found: &Posterior, groups: &[CoefficientGroup], variances: &[f64]) -> f64 {
-    let levels = groups.iter().zip(variances).filter(|(group, _)| group.rule == VarianceRule::UniformRms);
-    found.log_marginal_likelihood + levels.map(|(_, nm2)| 0.5 * nm2.ln()).sum::<f64>()
+/// By how much the logarithm of what is maximised over the variances rises from one posterior to
+/// another.
+///
+/// With b − F x = x/λ at each, ½ b·x rises by ½ Σ x₀ x₁ (1/λ₀ − 1/λ₁): of the size of the number of
+/// coefficients. The difference of the two products is one of rounding where these are known a
+/// thousand times better than their size: pistons of a micron to a tenth of a nanometre gave 10¹⁰,
+/// of which rounding left 10⁴, and the search ended with bands of modes 30 times too wide.
+fn rise(found: [&Posterior; 2], groups: &[CoefficientGroup], variances: [&[f64]; 2]) -> f64 {
+    let [before, after] = found;
+    let of_group = |(number, group): (usize, &CoefficientGroup)| {
+        let [old_nm2, new_nm2] = variances.map(|nm2| nm2[number]);
+        if old_nm2 == new_nm2 {
+            return 0.0;
+        }
+        let along = |i: usize| before.coefficients_nm[i] * after.coefficients_nm[i];
+        let products_nm2: f64 = group.columns.clone().map(along).sum();
+        let of_level = if group.rule == VarianceRule::UniformRms { (new_nm2 / old_nm2).ln() } else { 0.0 };
+        products_nm2 * (old_nm2.recip() - new_nm2.recip()) + of_level
+    };
+    let rise: f64 = groups.iter().enumerate().map(of_group).sum();
+    0.5 * (rise - (after.log_determinant - before.log_determinant))
 }
 
 /// Fisher's scoring: the step of the logarithms of the variances, and what it gains to first order.
@@ -230,8 +249,10 @@ fn posterior(
     let inverse = SpdInverse::new(&matrix)?;
     let covariance_nm2 = &inverse.inverse * &across * down;
     let coefficients_nm = covariance_nm2.dot(b);
-    let log_marginal_likelihood = 0.5 * (coefficients_nm.dot(b) - inverse.log_determinant);
-    Ok(Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm: Vec::new() })
+    let log_determinant = inverse.log_determinant;
+    let log_marginal_likelihood = 0.5 * (coefficients_nm.dot(b) - log_determinant);
+    let prior_rms_nm = Vec::new();
+    Ok(Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, log_determinant, prior_rms_nm })
 }
 
 #[cfg(test)]
@@ -245,6 +266,21 @@ mod tests {
             range_nm2: [NEGLIGIBLE_NM2, f64::INFINITY],
             rule: VarianceRule::MostLikely,
         }
+    }
+
+    #[test]
+    fn the_rise_is_the_difference_of_what_is_maximised() {
+        let mix = Array2::from_shape_fn((9, 6), |(i, j)| ((7 * i + 11 * j + i * j) as f64).sin());
+        let (information, b) = (mix.t().dot(&mix), Array1::from(vec![3.0, -1.0, 0.5, 2.0, -0.3, 1.0]));
+        let fixed = CoefficientGroup { rule: VarianceRule::Fixed, ..group(5..6) };
+        let groups = [group(0..2), CoefficientGroup { rule: VarianceRule::UniformRms, ..group(2..5) }, fixed];
+        let variances: [&[f64]; 2] = [&[4.0, 0.3, 2.0], &[1.5, 0.7, 2.0]];
+        let [before, after] = variances.map(|nm2| posterior(&information, &b, &groups, nm2).unwrap());
+        // The prior of the level of the second group.
+        let levels = 0.5 * (0.7f64 / 0.3).ln();
+        let difference = after.log_marginal_likelihood - before.log_marginal_likelihood + levels;
+        let found = rise([&before, &after], &groups, variances);
+        assert!((found - difference).abs() < 1e-13 && difference.abs() > 0.01, "{found} {difference}");
     }
 
     #[test]

@@ -136,7 +136,7 @@ impl StaticModel {
         // that the loop compensates: widened by the errors of a previous estimate too, they leave
         // 19 nm of phasing in place of 17 (75 images, tilts of 20 nm, one draw).
         let pistons_nm = posterior.prior_rms_nm[0];
-        let Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm } =
+        let Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm, .. } =
             posterior.with_previous_correction(self.segments, pistons_nm, UNCORRECTED_NM)?;
         let ncpa = self.segment_modes + self.ncpa;
         let common_path = if self.has_telemetry() { ncpa..ncpa + self.ncpa } else { ncpa..ncpa };
