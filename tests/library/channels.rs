@@ -161,8 +161,8 @@ fn wrong_whole_wavelengths_are_not_explained_away() {
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);
 }
 
-/// NCPA modes that are not there have next to no level beside pistons of 1.5 µm, too, which are known
-/// to a tenth of a nanometre.
+/// NCPA modes that are not there have next to no level beside pistons of 1.5 µm, too, which are
+/// known to a tenth of a nanometre.
 #[test]
 #[ignore = "merge: 5 s"]
 fn large_pistons_leave_the_prior_of_other_modes() {
