@@ -34,7 +34,7 @@ const LAST_NOLL: [usize; 2] = [91, 210];
 /// with these 0.99 and 1.02.
 const FINER: [f64; 2] = [4.0 / 3.0, 5.0 / 3.0];
 
-/// Samples that are tried before anything else, relative to those of the scene's pupil: 120 on GTC
+/// Samples that are tried before anything else, relative to those of the model: 120 on GTC
 /// leave a reduced χ² of 1.06 to 1.18 at a peak S/N of 500, 144 leave 1.025, 200 leave 1.015.
 const MORE_SAMPLES: f64 = 5.0 / 3.0;
 
@@ -73,9 +73,9 @@ pub(super) enum Extension {
 /// user to change.
 const FITTED: [Optic; 3] = [Optic::REFLECTIVITIES, Optic::SPIDERS, Optic::OBSCURATION];
 
-/// An even number of samples, `factor` times those of the scene's pupil.
-fn more_samples(sections: &Sections, factor: f64) -> usize {
-    2 * (0.5 * factor * sections.pupil.samples as f64).round() as usize
+/// An even number of samples, about `factor` times `samples`.
+fn more_samples(samples: usize, factor: f64) -> usize {
+    2 * (0.5 * factor * samples as f64).round() as usize
 }
 
 impl Extension {
@@ -84,14 +84,14 @@ impl Extension {
         let extent_m = sections.pupil.extent_m();
         match *self {
             Self::Samples(own_samples) => {
-                sections.estimate.samples = Some(more_samples(sections, MORE_SAMPLES).max(own_samples));
+                sections.estimate.samples = Some(more_samples(own_samples, MORE_SAMPLES));
             }
             Self::SegmentTilts => sections.modes.segment = SegmentModes::PistonTipTilt,
             Self::ZernikesTo { last, own_samples } => {
                 let finer = FINER[usize::from(last > LAST_NOLL[0])];
                 // Only a pupil that is known on a finer grid can have more samples.
                 if extent_m.is_some() && sections.estimate.samples.is_none() {
-                    sections.estimate.samples = Some(more_samples(sections, finer).max(own_samples));
+                    sections.estimate.samples = Some(more_samples(sections.pupil.samples, finer).max(own_samples));
                 }
                 sections.modes.exact_zernikes = Some(NollRange::Span { first: 2, last });
             }

@@ -33,13 +33,15 @@ pub(crate) struct Sequence<'a> {
     pub(crate) control: &'a Control,
 }
 
-/// What the groups of a sequence are fitted with.
-struct Task<'a> {
+/// Images of a sequence of groups, prepared, and what their fits need.
+struct Prepared<'a> {
     scene: &'a System,
-    fitters: &'a [ModalFitter],
-    fits: &'a [Vec<ImageFit>],
-    left_out: Option<&'a LeftOutOfChannels>,
     control: &'a Control,
+    fitters: Vec<ModalFitter>,
+    fits: Vec<Vec<ImageFit>>,
+    left_out: Option<LeftOutOfChannels>,
+    /// The groups all of whose images can be used.
+    numbers: Vec<usize>,
 }
 
 /// The fit of one group.
@@ -53,14 +55,17 @@ struct GroupFit {
     images: Vec<([usize; 2], PreparedFrame, Minimum)>,
 }
 
-impl Task<'_> {
+/// Word for the chain of fits of groups, which are of several images each.
+const GROUP: &str = "group";
+
+impl Prepared<'_> {
     /// Fits the group with the images `places`.
     fn fit(&self, places: &[[usize; 2]], how: (Option<&[f64]>, Search)) -> Result<GroupFit> {
-        let (fitters, own) = (self.fitters, self.fitters.iter().collect::<Vec<_>>());
+        let (fitters, own) = (&self.fitters, self.fitters.iter().collect::<Vec<_>>());
         let is_of_group = |place| places.contains(&place);
-        let mut found = Solution::new(self.scene, &own, self.fits, is_of_group, how, self.control)?;
+        let mut found = Solution::new(self.scene, &own, &self.fits, is_of_group, how, self.control)?;
         let of_group = (&found.group, &found.best, &found.normal.each[..]);
-        let posterior = self.left_out.map(|of| GroupPosterior::new(of_group, fitters, of)).transpose()?;
+        let posterior = self.left_out.as_ref().map(|of| GroupPosterior::new(of_group, fitters, of)).transpose()?;
         if let Some(posterior) = &posterior {
             found.explain(&posterior.left_out.explained_chi2);
         }
@@ -74,23 +79,13 @@ impl Task<'_> {
         let images = members.map(|(member, minimum)| (member.place, member.image.clone(), minimum.clone())).collect();
         Ok(GroupFit { group, minima: found.minima, is_explained: found.is_explained(), refusal, images })
     }
-}
 
-/// The error of `groups` none of which can be used, one for this `reason`.
-fn none_of(groups: &[Vec<[usize; 2]>], reason: &str) -> Error {
-    Error::Image(format!("each of {} groups has an image that cannot be used: {reason}", groups.len()))
-}
-
-/// Word for the chain of fits of groups, which are of several images each.
-const GROUP: &str = "group";
-
-impl Task<'_> {
     /// The fit of the group with the images `places` as it was stored; `None` where it is not, or
     /// is of another size.
     fn restored(&self, (group, places): (usize, &[[usize; 2]]), series: &GroupSeries) -> Result<Option<GroupFit>> {
         let Some(stored) = series.groups.get(&group) else { return Ok(None) };
         let own: Vec<&ModalFitter> = self.fitters.iter().collect();
-        let unfitted = Group::new(&own, self.fits, |place| places.contains(&place), None)?;
+        let unfitted = Group::new(&own, &self.fits, |place| places.contains(&place), None)?;
         let mut images = Vec::new();
         for mut member in unfitted.members {
             let [channel, image] = member.place;
@@ -130,6 +125,11 @@ impl Task<'_> {
     }
 }
 
+/// The error of `groups` none of which can be used, one for this `reason`.
+fn none_of(groups: &[Vec<[usize; 2]>], reason: &str) -> Error {
+    Error::Image(format!("each of {} groups has an image that cannot be used: {reason}", groups.len()))
+}
+
 /// Why an image of a group with these statuses cannot be used.
 fn refusal_of(statuses: impl Iterator<Item = Status>) -> Option<String> {
     statuses.into_iter().find_map(|status| match status {
@@ -138,20 +138,11 @@ fn refusal_of(statuses: impl Iterator<Item = Status>) -> Option<String> {
     })
 }
 
-/// Images of a sequence of groups, prepared, and what their fits need.
-struct Prepared {
-    fitters: Vec<ModalFitter>,
-    fits: Vec<Vec<ImageFit>>,
-    left_out: Option<LeftOutOfChannels>,
-    /// The groups all of whose images can be used.
-    numbers: Vec<usize>,
-}
-
 impl Sequence<'_> {
     /// # Errors
     /// As [`Sequence::estimate`].
-    fn prepared(&self) -> Result<Prepared> {
-        let Self { scene, channels, groups, .. } = self;
+    fn prepared(&self) -> Result<Prepared<'_>> {
+        let &Self { scene, channels, groups, control, .. } = self;
         check_same_modes(channels.iter().map(|channel| &channel.fitter))?;
         let fits = channels.iter().map(|channel| channel.fitter.prepared(&channel.cube)).collect::<Result<Vec<_>>>()?;
         let (fitters, names): (Vec<_>, Vec<_>) =
@@ -162,7 +153,7 @@ impl Sequence<'_> {
         if numbers.is_empty() {
             return Err(none_of(groups, &reason_of_none(fits.iter().flatten())));
         }
-        Ok(Prepared { fitters, fits, left_out, numbers })
+        Ok(Prepared { scene, control, fitters, fits, left_out, numbers })
     }
 
     /// The fits of those `numbers` of the groups, the first of which begins near a wavefront and
@@ -171,14 +162,12 @@ impl Sequence<'_> {
     /// # Errors
     /// As [`Sequence::estimate`].
     fn fit_each(&self, prepared: &Prepared, numbers: &[usize], series: &mut GroupSeries) -> Result<Vec<GroupFit>> {
-        let Prepared { fitters, fits, left_out, .. } = prepared;
-        let task = Task { scene: self.scene, fitters, fits, left_out: left_out.as_ref(), control: self.control };
         let of = |number: usize| (number, &self.groups[number][..]);
-        let found = task.take_or_fit(of(numbers[0]), (self.near_nm, self.search), series)?;
+        let found = prepared.take_or_fit(of(numbers[0]), (self.near_nm, self.search), series)?;
         // Wavefronts of one telescope are alike.
         let near_nm = found.1.group.coefficients_nm.to_vec();
         let how = (Some(&near_nm[..]), Search::IfNeeded);
-        let others = numbers[1..].par_iter().map(|&number| task.take_or_fit(of(number), how, series));
+        let others = numbers[1..].par_iter().map(|&number| prepared.take_or_fit(of(number), how, series));
         let mut each = vec![found];
         each.extend(others.collect::<Result<Vec<_>>>()?);
         series.made = each.iter().filter(|(is_made, _)| *is_made).map(|(_, found)| found.images.len()).sum();
@@ -218,7 +207,7 @@ impl Sequence<'_> {
         self.control.enter(Stage::Fitting, self.groups.len());
         let prepared = self.prepared()?;
         let mut found = self.fit_each(&prepared, &prepared.numbers, series)?;
-        let Prepared { fitters, mut fits, left_out, numbers } = prepared;
+        let Prepared { fitters, mut fits, left_out, numbers, .. } = prepared;
         for (place, prepared, minimum) in found.iter_mut().flat_map(|group| group.images.drain(..)) {
             let fit = &mut fits[place[0]][place[1]];
             (fit.prepared, fit.minimum, fit.state) = (prepared, minimum, FitState::Fitted);
