@@ -34,6 +34,16 @@ pub(crate) fn row_products(rows: ArrayView2<f64>, vector: ArrayView1<f64>) -> Ar
     Array1::from(products)
 }
 
+/// Some rows and columns of a matrix.
+pub(crate) fn sub_matrix(matrix: &Array2<f64>, rows: &[usize], columns: &[usize]) -> Array2<f64> {
+    let mut part = Array2::zeros((rows.len(), columns.len()));
+    for (mut to, &row) in part.outer_iter_mut().zip(rows) {
+        let from = matrix.row(row);
+        to.iter_mut().zip(columns).for_each(|(value, &column)| *value = from[column]);
+    }
+    part
+}
+
 /// a·bᵀ of two row-major matrices, strip by strip on all threads.
 pub(crate) fn times_transposed(a: ArrayView2<f64>, b: ArrayView2<f64>) -> Array2<f64> {
     let (a, b) = (a.as_standard_layout(), b.as_standard_layout());

@@ -45,6 +45,8 @@ pub(super) enum Change {
     Amplitude(usize),
     /// The amount of a figure of one segment.
     Figure(SegmentFigure),
+    /// The logarithm of the amplitude, as a row of the smooth basis has it.
+    Light(usize),
 }
 
 /// A figure of a segment, nm: a x² + b y² + c x y + d of `[a, b, c, d]`, where x and y are its tip
@@ -61,7 +63,7 @@ impl Change {
     /// The segment that it is of; `None` for a change of the whole pupil.
     pub(super) fn segment(self) -> Option<usize> {
         match self {
-            Self::Mode(Mode::Smooth(_)) => None,
+            Self::Mode(Mode::Smooth(_)) | Self::Light(_) => None,
             Self::Mode(Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment))
             | Self::Amplitude(segment)
             | Self::Figure(SegmentFigure { segment, .. }) => Some(segment),
@@ -295,16 +297,21 @@ impl<T: Polynomial> Field<T> {
     /// The derivative of the field by one change at the state's coefficients, on the row-planar
     /// grid, which must be zero elsewhere. That by a coefficient, per nm, is i·2π·s·P·(the mode's
     /// part of the aperture), s the derivative of the phase in turns per nm; that by the logarithm
-    /// of a segment's amplitude is P·(its part).
+    /// of an amplitude is P·(its part).
     #[inline(always)]
     pub(super) fn derivative(&self, change: Change, state: &FieldState<T>, grid: &mut [T]) {
         let (samples, across) = (self.samples, self.samples.div_ceil(BLOCK));
         let Some(segment) = change.segment() else {
-            let Change::Mode(Mode::Smooth(row)) = change else { return };
-            for (&place, &slope) in self.illuminated.iter().zip(self.smooth.map(row)) {
+            let (Change::Mode(Mode::Smooth(row)) | Change::Light(row)) = change else { return };
+            let per_row = T::narrow(1.0 / self.turns_per_nm);
+            for (&place, &turns) in self.illuminated.iter().zip(self.smooth.map(row)) {
                 let (block, lane) = (place / BLOCK, place % BLOCK);
                 let BlockState { phasor, aperture } = &state.blocks[block];
-                let [re, im] = along_phase(phasor.map(|lanes| lanes[lane]), aperture.map(|lanes| lanes[lane]), slope);
+                let (phasor, part) = (phasor.map(|lanes| lanes[lane]), aperture.map(|lanes| lanes[lane]));
+                let [re, im] = match change {
+                    Change::Light(_) => times(phasor, part).map(|value| value * turns * per_row),
+                    _ => along_phase(phasor, part, turns),
+                };
                 let at = 2 * samples * (block / across) + block % across * BLOCK + lane;
                 grid[at] += re;
                 grid[at + samples] += im;
@@ -334,10 +341,8 @@ impl<T: Polynomial> Field<T> {
             for i in 0..BLOCK {
                 let part = [weight[i] * q_re[i], weight[i] * q_im[i]];
                 [d_re[i], d_im[i]] = match change {
-                    Change::Mode(_) | Change::Figure(_) => {
-                        along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm)
-                    }
                     Change::Amplitude(_) => times([p_re[i], p_im[i]], part),
+                    _ => along_phase([p_re[i], p_im[i]], part, along[i] * turns_per_nm),
                 };
             }
             let row = &mut grid[2 * samples * (block / across)..][..2 * samples];

@@ -29,10 +29,10 @@ pub struct LinearModel<'a> {
     psf: Vec<f64>,
     /// Rows and columns of the pupil that each segment covers.
     boxes: Vec<PupilBox>,
-    /// Figures of segments, each once.
-    own_figures: Vec<Change>,
+    /// Changes that are no modes, each once.
+    changes: Vec<Change>,
     /// Unknowns behind the modes: sums of some of these.
-    figures: Vec<Vec<usize>>,
+    further: Vec<Vec<usize>>,
 }
 
 /// Rows and columns of the pupil.
@@ -64,7 +64,7 @@ impl CpuChain<f64> {
             pixels.apply(&mut psf, &mut work);
         }
         let boxes = boxes(self.optics());
-        LinearModel { chain: self, colours, pixels, psf, boxes, own_figures: Vec::new(), figures: Vec::new() }
+        LinearModel { chain: self, colours, pixels, psf, boxes, changes: Vec::new(), further: Vec::new() }
     }
 }
 
@@ -213,8 +213,7 @@ impl<'a> ColourState<'a> {
         let (mut pupil_bar, mut pupil) = (vec![0.0; 2 * n * n], vec![0.0; 2 * n * n]);
         self.transform.adjoint(&focus, &mut pupil_bar, &mut self.transform.workspace());
         for (change, product) in others {
-            let Some(segment) = change.segment() else { continue };
-            let [ys, xs] = &boxes[segment];
+            let [ys, xs] = &change.segment().map_or([0..n, 0..n], |segment| boxes[segment].clone());
             self.derivative_of_field(*change, &mut pupil);
             let lines = pupil.chunks_exact_mut(n).zip(pupil_bar.chunks_exact(n));
             // Both planes of a row are lines.
@@ -245,23 +244,30 @@ impl LinearModel<'_> {
         &self.psf
     }
 
-    /// With `figures` of the segments as unknowns behind the modes, each of one segment or of
-    /// several.
+    /// With `figures` of the segments as unknowns, each of one segment or of several.
     pub fn with_figures(mut self, figures: &[Vec<SegmentFigure>]) -> Self {
         let mut places = HashMap::new();
         let mut place = |figure: &SegmentFigure| {
             *places.entry((figure.segment, figure.terms.map(f64::to_bits))).or_insert_with(|| {
-                self.own_figures.push(Change::Figure(*figure));
-                self.own_figures.len() - 1
+                self.changes.push(Change::Figure(*figure));
+                self.changes.len() - 1
             })
         };
-        self.figures = figures.iter().map(|own| own.iter().map(&mut place).collect()).collect();
+        self.further.extend(figures.iter().map(|own| own.iter().map(&mut place).collect::<Vec<_>>()));
         self
     }
 
-    /// Number of unknowns: modes, and figures behind them.
+    /// With patterns of the logarithm of the amplitude as unknowns: `rows` of the smooth basis.
+    pub fn with_light(mut self, rows: Range<usize>) -> Self {
+        let first = self.changes.len();
+        self.further.extend((first..first + rows.len()).map(|place| vec![place]));
+        self.changes.extend(rows.map(Change::Light));
+        self
+    }
+
+    /// Number of unknowns: modes, and behind them what was added, in its order.
     pub fn unknowns(&self) -> usize {
-        self.chain.optics().modes() + self.figures.len()
+        self.chain.optics().modes() + self.further.len()
     }
 
     /// Pixels along a side.
@@ -269,18 +275,17 @@ impl LinearModel<'_> {
         self.chain.optics().sampling().pixels
     }
 
-    /// Writes the derivatives of some rows of pixels by every unknown, per nm, into `out`:
-    /// `[unknown, pixel]`, with the pixels of those rows in order.
+    /// Writes the derivatives of some rows of pixels by every unknown, per nm but for those of the
+    /// light, into `out`: `[unknown, pixel]`, with the pixels of those rows in order.
     ///
     /// # Panics
     /// If `out` has another shape.
     pub fn derivatives(&self, rows: Range<usize>, out: ArrayViewMut2<f64>) {
         assert_eq!(out.dim(), (self.unknowns(), rows.len() * self.pixels()), "unknowns and pixels");
         let modes: Vec<Change> = self.chain.optics().parts().modes.iter().map(|&mode| Change::Mode(mode)).collect();
-        let changes = |own: &Vec<usize>| own.iter().map(|&place| self.own_figures[place]).collect();
-        let figures: Vec<Vec<Change>> = self.figures.iter().map(changes).collect();
-        let changes = modes.iter().map(from_ref).chain(figures.iter().map(Vec::as_slice));
-        self.write(changes, rows, out);
+        let changes = |own: &Vec<usize>| own.iter().map(|&place| self.changes[place]).collect();
+        let further: Vec<Vec<Change>> = self.further.iter().map(changes).collect();
+        self.write(modes.iter().map(from_ref).chain(further.iter().map(Vec::as_slice)), rows, out);
     }
 
     /// The derivatives by the natural logarithm of the amplitude of each segment,
@@ -295,7 +300,7 @@ impl LinearModel<'_> {
         (0..self.boxes.len()).map(Change::Amplitude).collect()
     }
 
-    /// Products of `image`, m×m, with the derivatives by every unknown, per nm, and with those
+    /// Products of `image`, m×m, with the derivatives by every unknown, and with those
     /// [by the amplitudes](Self::by_amplitudes): without them, by one adjoint transform.
     pub fn products(&mut self, image: &[f64]) -> [Vec<f64>; 2] {
         let mut slope = image.to_vec();
@@ -303,14 +308,14 @@ impl LinearModel<'_> {
             // The convolution is its own adjoint.
             pixels.apply(&mut slope, &mut vec![0.0; image.len()]);
         }
-        let (changes, count) = (self.amplitudes(), self.chain.optics().modes());
-        let (mut unknowns, mut amplitudes) = (vec![0.0; count], vec![0.0; changes.len()]);
-        let mut figures = vec![0.0; self.own_figures.len()];
+        let (of_amplitudes, count) = (self.amplitudes(), self.chain.optics().modes());
+        let (mut unknowns, mut amplitudes) = (vec![0.0; count], vec![0.0; of_amplitudes.len()]);
+        let mut each = vec![0.0; self.changes.len()];
         for colour in &mut self.colours {
-            let others = self.own_figures.iter().zip(&mut figures).chain(changes.iter().zip(&mut amplitudes));
+            let others = self.changes.iter().zip(&mut each).chain(of_amplitudes.iter().zip(&mut amplitudes));
             colour.add_products(&slope, &self.boxes, &mut unknowns, others);
         }
-        unknowns.extend(self.figures.iter().map(|own| own.iter().map(|&place| figures[place]).sum::<f64>()));
+        unknowns.extend(self.further.iter().map(|own| own.iter().map(|&place| each[place]).sum::<f64>()));
         [unknowns, amplitudes]
     }
 

@@ -47,16 +47,20 @@ pub(crate) use whole::WholeWavefront;
 const LAST_ZERNIKE: usize = 91;
 /// Most figures of segments, three for each.
 const MOST_FIGURES: usize = 400;
-/// Unit of the amplitudes of the segments, relative.
+/// Unit of amplitudes of the light, relative.
 const AMPLITUDE_UNIT: f64 = 1e-3;
 /// Prior standard deviation of an amplitude before the images say more, and its largest, in units.
 const AMPLITUDES: [f64; 2] = [10.0, 100.0];
+/// Zernikes, in Noll's order, that patterns of the amplitude of a pupil without segments have,
+/// behind those of the illumination.
+const LIGHT_ZERNIKES: [usize; 2] = [5, 45];
 /// Patterns of the illumination, as the subjects of a sentence.
 const ILLUMINATIONS: [&str; 3] = [
     "the slope of the illumination along x",
     "the slope of the illumination along y",
-    "the illumination towards the rim",
+    "the rise of the illumination to the rim",
 ];
+
 /// Modes that a fit leaves out.
 pub(in crate::modal) struct LeftOut {
     /// The model with these modes behind the fitted ones.
@@ -72,13 +76,14 @@ pub(in crate::modal) struct LeftOut {
     /// RMS of the smooth surfaces of the whole pupil whose parts on the segments are, but for
     /// pistons, tips and tilts, figures of unit RMS: one of each kind.
     surfaces: [f64; 3],
+    /// Patterns of the logarithm of the amplitude, unknowns behind the figures: rows of the basis.
+    light: Range<usize>,
     /// Those of the camera come last.
     groups: Vec<Group>,
     /// Maps of these and of the fitted modes.
     whole: Arc<WholeBasis>,
-    /// Logarithms of the amplitudes of the segments for one unit of each unknown that is of them,
-    /// `[unknown, segment]`: each segment's own, and patterns of the illumination.
-    amplitudes: Option<Array2<f64>>,
+    /// Whether the amplitude of each segment is among the unknowns, behind the patterns.
+    has_amplitudes: bool,
     tolerance: ToleranceScene,
 }
 
@@ -144,14 +149,27 @@ impl LeftOut {
                 columns.push_further("figure that all segments share", 3, [tolerance.common_figure_nm; 2], of);
             }
         }
-        let amplitudes = (has_segments && 3 * segments <= MOST_FIGURES).then(|| {
-            let of = (VarianceRule::MostLikely, Of::Amplitudes);
-            columns.push_further("amplitudes of the segments", segments, AMPLITUDES, of);
+        let first_light = columns.smooth;
+        if tolerance.illumination_fraction > 0.0 {
             for name in ILLUMINATIONS {
                 columns.push_error(name, tolerance.illumination_fraction);
             }
-            amplitudes(pupil, tolerance.illumination_fraction)
-        });
+            columns.push_patterns(illuminations(pupil, &points, tolerance.illumination_fraction));
+            if !has_segments {
+                let (xs, ys): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+                let [first, last] = LIGHT_ZERNIKES;
+                let patterns = circle_zernikes(first, last, pupil)?.evaluate(&xs, &ys)? * AMPLITUDE_UNIT;
+                let of = (VarianceRule::MostLikely, Of::Amplitudes);
+                columns.push_further("patterns of the light over the pupil", patterns.nrows(), AMPLITUDES, of);
+                columns.push_patterns(patterns);
+            }
+        }
+        let light = first_light..columns.smooth;
+        let has_amplitudes = has_segments && 3 * segments <= MOST_FIGURES;
+        if has_amplitudes {
+            let of = (VarianceRule::MostLikely, Of::Amplitudes);
+            columns.push_further("amplitudes of the segments", segments, AMPLITUDES, of);
+        }
         for (name, tolerance) in camera::errors(tolerance) {
             columns.push_error(name, tolerance);
         }
@@ -176,7 +194,19 @@ impl LeftOut {
         let (chain, groups) = (CpuChain::new(Arc::new(optics)), columns.groups);
         let whole = Arc::new(WholeBasis::new(model, &groups, &figures, [last_zernike + 1, LAST_ZERNIKE])?);
         let tolerance = tolerance.clone();
-        Ok(Self { chain, fitted, tilts, modes: count, figures, surfaces, groups, whole, amplitudes, tolerance })
+        Ok(Self {
+            chain,
+            fitted,
+            tilts,
+            modes: count,
+            figures,
+            surfaces,
+            light,
+            groups,
+            whole,
+            has_amplitudes,
+            tolerance,
+        })
     }
 
     /// Number of the unknowns.
@@ -221,18 +251,14 @@ pub(in crate::modal) fn has_one_camera<'a>(channels: impl IntoIterator<Item = &'
     cameras.all(|other| Some(other) == first)
 }
 
-/// Each segment's amplitude, in its unit, and where `tolerance` is above 0 as much of slopes along
-/// x and y, and of the square of the distance from the centre, at most 1: `[unknown, segment]`.
-fn amplitudes(pupil: &Pupil, tolerance: f64) -> Array2<f64> {
-    let segments = &pupil.segments;
-    let radius_m = segments.iter().map(|segment| segment.x_m.hypot(segment.y_m)).fold(0.0, f64::max);
-    let patterns = if tolerance > 0.0 { ILLUMINATIONS.len() } else { 0 };
-    Array2::from_shape_fn((segments.len() + patterns, segments.len()), |(unknown, segment)| {
-        let Some(pattern) = unknown.checked_sub(segments.len()) else {
-            return if unknown == segment { AMPLITUDE_UNIT } else { 0.0 };
-        };
-        let [x, y] = [segments[segment].x_m, segments[segment].y_m].map(|m| m / radius_m);
-        tolerance * [x, y, x * x + y * y][pattern]
+/// Change of the logarithm of the amplitude by an error `tolerance` of each term of
+/// `pupil.illumination_x`, `illumination_y` and `illumination_edge`, of which it is half, at some
+/// points, m: `[term, point]`.
+fn illuminations(pupil: &Pupil, points: &[(f64, f64)], tolerance: f64) -> Array2<f64> {
+    let half_m = 0.5 * pupil.grid.width_m();
+    Array2::from_shape_fn((ILLUMINATIONS.len(), points.len()), |(term, point)| {
+        let (x, y) = (points[point].0 / half_m, points[point].1 / half_m);
+        0.5 * tolerance * [x, y, 2.0 * (x * x + y * y) - 1.0][term]
     })
 }
 

@@ -106,9 +106,8 @@ fn added_modes(recipe: &modal::Recipe, selected: Option<&str>) -> String {
 /// residual.
 pub(super) struct ExpectedErrors {
     fitted: MapErrors,
-    /// Of the fitted modes and of what was left out, and the mean products of all these over the
-    /// pupil; `None` where nothing was.
-    whole: Option<(MapErrors, Array2<f64>)>,
+    /// Of the fitted modes and of what was left out; `None` where nothing was.
+    whole: Option<MapErrors>,
 }
 
 /// [`ExpectedErrors`] of the modes of one basis.
@@ -134,10 +133,9 @@ impl ExpectedErrors {
             let gram = MapGram::of_basis(pupil, &model.basis)?;
             return Ok(Self { fitted: MapErrors { gram, segment_modes }, whole: None });
         };
-        let products = whole.products().clone();
-        let gram = MapGram::of_products(pupil, whole.basis(), products.clone())?;
+        let gram = MapGram::of_products(pupil, whole.basis(), whole.products().clone())?;
         let fitted = MapErrors { gram: gram.of_modes(whole.fitted()), segment_modes };
-        Ok(Self { fitted, whole: Some((MapErrors { gram, segment_modes: whole.segment_modes() }, products)) })
+        Ok(Self { fitted, whole: Some(MapErrors { gram, segment_modes: whole.segment_modes() }) })
     }
 
     /// Expected RMS of the errors of phasing, NCPA and their sum, of the fitted modes, nm.
@@ -147,16 +145,9 @@ impl ExpectedErrors {
 
     /// The same of the fitted modes and of what was left out, from the covariance of all.
     pub(super) fn of_whole_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
-        self.whole()?.0.rms_nm(covariance_nm2)
-    }
-
-    /// Mean products over the pupil of the fitted modes and of what was left out.
-    pub(super) fn products_of_whole(&self) -> Result<&Array2<f64>> {
-        Ok(&self.whole()?.1)
-    }
-
-    fn whole(&self) -> Result<&(MapErrors, Array2<f64>)> {
-        self.whole.as_ref().ok_or_else(|| Error::Internal("nothing was left out of the modes".into()))
+        let whole = self.whole.as_ref();
+        let whole = whole.ok_or_else(|| Error::Internal("nothing was left out of the modes".into()))?;
+        whole.rms_nm(covariance_nm2)
     }
 
     /// The same of an estimate whose fitted modes have this covariance.

@@ -22,13 +22,12 @@ impl WithoutStaircases {
         figures: &Figures,
     ) -> Result<Option<Self>> {
         let Some(left_out) = left_out else { return Ok(None) };
-        let found = left_out.whole.without_staircases(model, errors.products_of_whole()?)?;
-        let Some(found) = found else { return Ok(None) };
-        let sigma_nm = errors.of_whole_nm(&found.modes.covariance_nm2)?;
+        let Some(modes) = left_out.whole.without_staircases(model)? else { return Ok(None) };
+        let sigma_nm = errors.of_whole_nm(&modes.covariance_nm2)?;
         if left_out.shared_figure.is_none() && figures.phasing.sigma_nm <= REMARKABLE * sigma_nm[0] {
             return Ok(None);
         }
-        let [maps, sigma_maps] = found.maps(model);
+        let [maps, sigma_maps] = left_out.whole.maps_of(model, &modes);
         Ok(Some(Self { figures: Figures::new(&model.telescope.pupil, &maps, sigma_nm)?, maps, sigma_maps }))
     }
 

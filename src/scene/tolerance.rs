@@ -25,9 +25,9 @@ section! {
         halo_fraction: f64, between(0.0, 1.0), default(0.01);
         /// RMS of a blur along an axis, pixels: jitter, or charge that spreads.
         blur_pixels: f64, between(0.0, 2.0), default(0.1);
-        /// Amplitude of the light in the pupil at the rim: slopes along x and y, and towards the
-        /// rim.
-        illumination_fraction: f64, between(0.0, 1.0), default(0.05);
+        /// Slopes of the illumination of the pupil along x and y, and its rise to the rim, as in
+        /// pupil.illumination_x.
+        illumination_fraction: f64, between(0.0, 1.0), default(0.1);
         /// Focus and two astigmatisms that all segments share, RMS of each.
         common_figure_nm: f64, between(0.0, 1000.0), default(5.0);
     }

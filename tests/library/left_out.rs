@@ -114,6 +114,30 @@ fn errors_of_the_camera_are_held_and_named() {
     }
 }
 
+/// Light that is not even over a pupil whose segments are not fitted, which no amplitude of theirs
+/// explains.
+#[test]
+#[ignore = "merge: 6 s"]
+fn light_over_a_pupil_without_segments_is_held_and_named() {
+    let whole = [("modes.segment", "none"), ("aberrations.segment_piston_rms_nm", "0")];
+    let uneven = [("pupil.illumination_x", "0.05"), ("pupil.illumination_edge", "-0.03")];
+    let without = pulls(&estimate(&whole, &uneven, false));
+    let found = estimate(&whole, &uneven, true);
+    let pull = pulls(&found)[1];
+    assert!(without[1] > 2.0 && pull < 1.6, "{without:?} {pull}");
+    let of = |name: &str| {
+        let error = found.model_errors.iter().find(|error| error.name.contains(name)).unwrap().clone();
+        (error.value, error.sigma)
+    };
+    for (name, truth) in [("illumination along x", 0.05), ("illumination along y", 0.0), ("to the rim", -0.03)] {
+        let (value, sigma) = of(name);
+        // The change is linear: what 0.05 does of second order is 0.05 of it.
+        assert!((value - truth).abs() < 3.0 * sigma + 0.0025, "{name}: {value} ± {sigma}");
+    }
+    let is_it = |error: &ModelError| error.name.contains("illumination along x") && error.significance > 20.0;
+    assert!(found.model_errors.iter().any(is_it));
+}
+
 #[test]
 #[ignore = "merge: 11 s"]
 fn tolerances_widen_error_bars_and_exact_ones_do_not() {

@@ -143,3 +143,34 @@ fn figures_of_segments_are_tips_of_their_shapes() {
         assert!((products[row] - product).abs() < 1e-13 * peak * (m * m) as f64, "{row}");
     }
 }
+
+/// The PSF is of second degree in the amplitudes: see the test of those of the segments.
+#[test]
+fn patterns_of_the_light_are_changes_of_the_amplitude() {
+    let three = [(0.95, 0.3), (1.0, 0.4), (1.04, 0.3)].map(|(ratio, share)| Colour { ratio, share });
+    for tilts in [false, true] {
+        let chain = CpuChain::<f64>::new(optics(tilts, &three, [PixelResponse::POINT; 2]));
+        let (parts, modes) = (chain.optics().parts(), chain.optics().modes());
+        let at = Array1::from_shape_fn(modes, |i| 60.0 * (i as f64 * 1.7).sin());
+        let with_light = |amount: f64| {
+            let mut parts = parts.clone();
+            for (sample, ends) in parts.weights.offsets.windows(2).enumerate() {
+                let factor = 1.0 + amount * parts.basis[[0, sample]];
+                let own = &mut parts.weights.weight[ends[0] as usize..ends[1] as usize];
+                own.iter_mut().for_each(|weight| *weight *= factor);
+            }
+            Array1::from(CpuChain::<f64>::new(Arc::new(Optics::new(parts).unwrap())).psf(at.view()))
+        };
+        let wanted = with_light(0.5) - with_light(-0.5);
+        let mut linear = chain.linearise(at.view()).with_light(0..1);
+        let m = parts.sampling.pixels;
+        let mut found = Array2::zeros((linear.unknowns(), m * m));
+        linear.derivatives(0..m, found.view_mut());
+        let peak = wanted.iter().fold(0.0f64, |most, value| most.max(value.abs()));
+        // As above.
+        assert!(found.row(modes).iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-13 * peak), "{tilts}");
+        let image: Vec<f64> = (0..m * m).map(|pixel| (0.7 * pixel as f64).cos()).collect();
+        let product = wanted.dot(&Array1::from(image.clone()));
+        assert!((linear.products(&image)[0][modes] - product).abs() < 1e-13 * peak * (m * m) as f64, "{tilts}");
+    }
+}

@@ -10,7 +10,9 @@ use crate::modal::model::Model;
 use crate::modes::{Basis, Direction};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, s};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, Zip, s};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Share of tip or tilt (RMS) outside the modes of the NCPA up to which they span it. The basis is
@@ -19,6 +21,9 @@ const MAX_RESIDUAL_SHARE: f64 = 1e-3;
 /// Share of a direction (of its coefficients) outside the motions up to which it is one of them.
 /// Null directions are known to 1e-6 and sampled on two grids.
 const MAX_OTHER_SHARE: f64 = 0.01;
+
+/// Rows of a matrix in one task.
+const ROWS_AT_ONCE: usize = 16;
 
 /// Motions of the whole mirror.
 pub(crate) struct GlobalMotions {
@@ -151,23 +156,19 @@ impl GlobalMotions {
 
     /// Columns of coefficients, `[mode, column]`, from which the motions were removed.
     pub(in crate::modal) fn removed_from_rows(&self, rows: &ArrayView2<f64>) -> Array2<f64> {
-        rows - &self.motions.t().dot(&self.amounts.dot(rows))
+        let mut left = rows.to_owned();
+        general_mat_mul(-1.0, &self.motions.t(), &self.amounts.dot(rows), 1.0, &mut left);
+        left
     }
 
     /// The covariance of coefficients from which the motions were removed.
     pub(crate) fn removed_from(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
-        // P C Pᵀ with P = 1 − Mᵀ A.
-        let rows = self.removed_from_rows(&covariance_nm2.view());
-        let both = &rows - rows.dot(&self.amounts.t()).dot(&self.motions);
-        // Symmetric to the last bit, which an eigen-decomposition may need.
-        (&both + &both.t()) * 0.5
+        projected(covariance_nm2, &self.amounts, &self.motions)
     }
 
     /// The information on coefficients, per nm², without what it says of the motions: Pᵀ Λ P.
     pub(in crate::modal) fn without_information_on(&self, information: &Array2<f64>) -> Array2<f64> {
-        let rows = information - self.amounts.t().dot(&self.motions.dot(information));
-        let both = &rows - rows.dot(&self.motions.t()).dot(&self.amounts);
-        (&both + &both.t()) * 0.5
+        projected(information, &self.motions, &self.amounts)
     }
 
     /// Whether a direction is a combination of these motions.
@@ -184,6 +185,33 @@ impl GlobalMotions {
         }
         rest.dot(&rest) <= MAX_OTHER_SHARE.powi(2) * ArrayView1::from(&direction.coefficients).mapv(|c| c * c).sum()
     }
+}
+
+/// P C Pᵀ of a symmetric matrix C, with P = 1 − Mᵀ A of few rows A, `along`, and M, `shapes`.
+///
+/// With W = A C − ½ A C Aᵀ M it is C − Mᵀ W − Wᵀ M. Symmetric to the last bit, which an
+/// eigen-decomposition may need.
+fn projected(matrix: &Array2<f64>, along: &Array2<f64>, shapes: &Array2<f64>) -> Array2<f64> {
+    let mut with = along.dot(matrix);
+    let both = with.dot(&along.t());
+    general_mat_mul(-0.25, &(&both + &both.t()), shapes, 1.0, &mut with);
+    let mut left = matrix.clone();
+    left.axis_chunks_iter_mut(Axis(0), ROWS_AT_ONCE).into_par_iter().enumerate().for_each(|(chunk, mut lines)| {
+        let first = chunk * ROWS_AT_ONCE;
+        let columns = matrix.slice(s![.., first..first + lines.nrows()]);
+        for (mut lines, column) in lines.columns_mut().into_iter().zip(columns.outer_iter()) {
+            lines.zip_mut_with(&column, |value, mirrored| *value = 0.5 * (*value + mirrored));
+        }
+        for (row, mut line) in (first..).zip(lines.outer_iter_mut()) {
+            for (shape, with) in shapes.outer_iter().zip(with.outer_iter()) {
+                let [own_shape, own_with] = [shape[row], with[row]];
+                Zip::from(&mut line).and(&shape).and(&with).for_each(|value, shape, with| {
+                    *value -= own_shape * with + own_with * shape;
+                });
+            }
+        }
+    });
+    left
 }
 
 /// Piston of the whole mirror, and where its segments have tilts tip and tilt: by `pistons`

@@ -15,14 +15,13 @@ use crate::modal::model::Model;
 use ndarray::{Array1, Array2};
 
 impl WholeWavefront {
-    /// This without focus and astigmatisms of the whole pupil: without staircases in the segments,
+    /// Its modes without focus and astigmatisms of the whole pupil: without staircases in the segments,
     /// and without the smooth ones in the NCPA; `None` where the segments of `model` have no tips
-    /// and tilts, fitted or left out, or there are no NCPA. `products` are the mean products of all
-    /// its modes over the pupil.
+    /// and tilts, fitted or left out, or there are no NCPA.
     ///
     /// # Errors
     /// Those of [`ModeProjector::of_gram`].
-    pub(crate) fn without_staircases(&self, model: &Model, products: &Array2<f64>) -> Result<Option<Self>> {
+    pub(crate) fn without_staircases(&self, model: &Model) -> Result<Option<CombinedModes>> {
         let (basis, pupil, segments) = (self.basis(), &model.telescope.pupil, self.segment_modes());
         // Pistons, tips and tilts are the first modes of the segments.
         let motions = 3 * model.pistons();
@@ -30,7 +29,7 @@ impl WholeWavefront {
             return Ok(None);
         }
         let weight = &pupil.amplitude / pupil.weight_sum();
-        let (squares, gram) = (products.diag(), basis.without_means(products.clone(), &weight)?);
+        let (squares, gram) = (self.products().diag(), basis.without_means(self.products().clone(), &weight)?);
         let projector = ModeProjector::of_gram(pupil, &gram, segments)?;
         let (mut staircases, mut smooth) = (Vec::new(), Vec::new());
         for kind in 0..3 {
@@ -51,6 +50,6 @@ impl WholeWavefront {
         let both = staircases.and(&smooth)?;
         both.remove(&mut coefficients_nm);
         let covariance_nm2 = both.removed_from(&self.modes.covariance_nm2);
-        Ok(Some(self.with(CombinedModes { coefficients_nm, covariance_nm2 })))
+        Ok(Some(CombinedModes { coefficients_nm, covariance_nm2 }))
     }
 }

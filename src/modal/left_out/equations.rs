@@ -6,7 +6,7 @@ use crate::modal::assess::mean_residual::EXPLAINED;
 use crate::modal::assess::residual::photometry;
 use crate::modal::combine::combined_modes::CombinedModes;
 use crate::modal::combine::global_motions::GlobalMotions;
-use crate::modal::left_out::{Equations, LeftOut, SAME, Step, WithLeftOut, camera, priors};
+use crate::modal::left_out::{AMPLITUDE_UNIT, Equations, LeftOut, SAME, Step, WithLeftOut, camera, priors};
 use crate::modal::model::Model;
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
@@ -62,14 +62,10 @@ impl LeftOut {
         let floor = null_floor(score.len(), pixels);
         // Where variances are `scale` times those of the noise.
         let step_of = |scale: f64| -> Result<(Step, Vec<f64>)> {
-            let equations = Equations {
-                information: &(&information / scale),
-                score: &(&score / scale),
-                fitted: &at,
-                tilts: self.tilts.clone(),
-                precision: None,
-                floor,
-            };
+            let scaled = (scale != 1.0).then(|| (&information / scale, &score / scale));
+            let (information, score) = scaled.as_ref().map_or((&information, &score), |(own, score)| (own, score));
+            let equations =
+                Equations { information, score, fitted: &at, tilts: self.tilts.clone(), precision: None, floor };
             let step = Step::new(&equations, &priors(&self.groups))?;
             let left_out = step.with_prior_change.slice(s![self.tilts.len()..]);
             let change = concatenate(Axis(0), &[step.change.view(), left_out]).unwrap_or_default();
@@ -109,7 +105,7 @@ impl LeftOut {
 
     /// Change of the PSF by one unit of each unknown that is no mode.
     fn further(&self, model: &Model, linear: &LinearModel) -> Vec<Array1<f64>> {
-        let of_amplitudes = self.amplitudes.as_ref().map(|amounts| amounts.dot(&linear.by_amplitudes()));
+        let of_amplitudes = self.has_amplitudes.then(|| linear.by_amplitudes() * AMPLITUDE_UNIT);
         let rows = of_amplitudes.iter().flat_map(|columns| columns.outer_iter()).map(|column| column.to_owned());
         rows.chain(self.camera(model, linear)).collect()
     }
@@ -159,14 +155,16 @@ impl LeftOut {
         let (chain, exposure) = (&self.chain, &prepared.exposure);
         let mut at = Array1::<f64>::zeros(self.modes);
         at.slice_mut(s![..minimum.coefficients_nm.len()]).assign(&ArrayView1::from(&minimum.coefficients_nm));
-        let mut linear = chain.linearise(at.view()).with_figures(&self.figures);
+        let mut linear = chain.linearise(at.view()).with_figures(&self.figures).with_light(self.light.clone());
         let (flux_e, background_e) = photometry(exposure, linear.psf());
         let weighted: Array1<f64> = (linear.psf().iter().zip(&exposure.data_e).zip(&exposure.weight))
             .map(|((psf, data), weight)| flux_e * weight * (data - flux_e * psf - background_e))
             .collect();
         let [of_modes, of_amplitudes] = linear.products(weighted.as_slice().unwrap_or_default()).map(Array1::from);
         let mut score = of_modes.to_vec();
-        score.extend(self.amplitudes.iter().flat_map(|amounts| amounts.dot(&of_amplitudes)));
+        if self.has_amplitudes {
+            score.extend(of_amplitudes * AMPLITUDE_UNIT);
+        }
         score.extend(self.camera(model, &linear).map(|column| column.dot(&weighted)));
         let score = Array1::from(score);
         let information = has_information.then(|| {
@@ -174,7 +172,7 @@ impl LeftOut {
             let bytes = model.tiles().derivative_bytes;
             let further = self.further(model, &linear);
             let own = Sensitivity::of(&linear, &further, flux_e, weights, exposure.photometry, bytes).fisher;
-            (&own + &own.t()) * (0.5 / minimum.chi2.square_snr)
+            own * minimum.chi2.square_snr.recip()
         });
         Ok((score, information))
     }

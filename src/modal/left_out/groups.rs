@@ -33,7 +33,7 @@ pub(super) enum Of {
     /// All segments.
     AllSegments,
     Ncpa,
-    /// Amplitudes of the segments.
+    /// Amplitudes of the segments, or patterns of them.
     Amplitudes,
     /// An error of the optics or the camera, in units of this tolerance.
     Tolerance(f64),
@@ -44,9 +44,9 @@ pub(super) enum Of {
 pub(super) struct Columns {
     pub(super) modes: Vec<Mode>,
     pub(super) groups: Vec<Group>,
-    /// Smooth modes at the illuminated samples, `[mode, sample]`.
+    /// Smooth modes at the illuminated samples, `[mode, sample]`, and patterns of the amplitude.
     pub(super) rows: Vec<Array2<f64>>,
-    /// Number of smooth modes.
+    /// Number of both.
     pub(super) smooth: usize,
     /// Number of modes with a prior that are fitted.
     pub(super) fitted: usize,
@@ -103,9 +103,14 @@ impl Columns {
         rule: (VarianceRule, Of),
     ) {
         let modes = (self.smooth..self.smooth + rows.nrows()).map(Mode::Smooth).collect();
+        self.push_patterns(rows);
+        self.push(name, modes, sizes_nm, rule);
+    }
+
+    /// Adds rows of the basis that are no modes.
+    pub(super) fn push_patterns(&mut self, rows: Array2<f64>) {
         self.smooth += rows.nrows();
         self.rows.push(rows);
-        self.push(name, modes, sizes_nm, rule);
     }
 }
 

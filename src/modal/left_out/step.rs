@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
-use crate::linear_algebra::times_transposed;
+use crate::linear_algebra::{sub_matrix, times_transposed};
 use crate::modal::assess::fisher::pseudo_inverse;
 use ndarray::{Array1, Array2, Axis};
 use std::ops::Range;
@@ -53,18 +53,19 @@ impl Step {
         let count = fitted.len();
         let free: Vec<usize> = (0..count).filter(|unknown| !tilts.contains(unknown)).collect();
         let with_prior: Vec<usize> = tilts.clone().chain(count..score.len()).collect();
-        let block = |rows: &[usize], columns: &[usize]| information.select(Axis(0), rows).select(Axis(1), columns);
+        let block = |rows: &[usize], columns: &[usize]| sub_matrix(information, rows, columns);
         let (mut own, mut slope) = (block(&free, &free), score.select(Axis(0), &free));
         if let Some(precision) = &equations.precision {
-            own += &precision.select(Axis(0), &free).select(Axis(1), &free);
+            own += &sub_matrix(precision, &free, &free);
             slope -= &precision.dot(*fitted).select(Axis(0), &free);
         }
         let inverse = pseudo_inverse(&own, equations.floor)?;
-        let cross = block(&free, &with_prior);
-        let moves = inverse.dot(&cross);
+        // The matrices are symmetric.
+        let cross = block(&with_prior, &free);
+        let moves = times_transposed(cross.view(), inverse.view());
         let direct = inverse.dot(&slope);
-        let left = block(&with_prior, &with_prior) - cross.t().dot(&moves);
-        let score = score.select(Axis(0), &with_prior) - cross.t().dot(&direct);
+        let left = block(&with_prior, &with_prior) - times_transposed(cross.view(), moves.view());
+        let score = score.select(Axis(0), &with_prior) - cross.dot(&direct);
         let before: Array1<f64> =
             with_prior.iter().map(|&unknown| if unknown < count { fitted[unknown] } else { 0.0 }).collect();
         let score = score + left.dot(&before);
@@ -75,9 +76,7 @@ impl Step {
         // among them.
         let mut follow = Array2::zeros((count, with_prior.len()));
         let (mut noise, mut change) = (Array2::zeros((count, count)), Array1::zeros(count));
-        for ((&unknown, row), (own, direct)) in
-            free.iter().zip(moves.outer_iter()).zip(inverse.outer_iter().zip(direct))
-        {
+        for ((&unknown, row), (own, direct)) in free.iter().zip(moves.columns()).zip(inverse.outer_iter().zip(direct)) {
             follow.row_mut(unknown).assign(&(-&row));
             own.iter().zip(&free).for_each(|(value, &other)| noise[[unknown, other]] = *value);
             change[unknown] = direct;
@@ -86,7 +85,6 @@ impl Step {
             follow[[unknown, place]] = 1.0;
         }
         change += &follow.dot(&with_prior_change);
-        // The covariance is symmetric.
         let with_left_out = times_transposed(follow.view(), found.covariance_nm2.view());
         let added = times_transposed(with_left_out.view(), follow.view());
         Ok(Self { change, noise, added, with_left_out, with_prior_change, found })

@@ -131,8 +131,13 @@ impl WholeWavefront {
 
     /// The maps, and their error bars.
     pub(crate) fn maps(&self, model: &Model) -> [StaticMaps; 2] {
+        self.maps_of(model, &self.modes)
+    }
+
+    /// The same of other coefficients of its modes, of another covariance.
+    pub(crate) fn maps_of(&self, model: &Model, modes: &CombinedModes) -> [StaticMaps; 2] {
         let of = (&self.basis.basis, self.basis.segment_modes);
-        [StaticMaps::of(model, of, &self.modes), StaticMaps::error_bars_of(model, of, &self.modes)]
+        [StaticMaps::of(model, of, modes), StaticMaps::error_bars_of(model, of, modes)]
     }
 
     /// Place of each fitted mode among all.
@@ -153,11 +158,6 @@ impl WholeWavefront {
     /// Number of those of the segments, which are the first.
     pub(crate) fn segment_modes(&self) -> usize {
         self.basis.segment_modes
-    }
-
-    /// This with other coefficients and another covariance of all modes.
-    pub(in crate::modal) fn with(&self, modes: CombinedModes) -> Self {
-        Self { modes, ..self.clone() }
     }
 }
 

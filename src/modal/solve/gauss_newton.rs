@@ -7,12 +7,15 @@
 
 use crate::imaging::LinearModel;
 use cophase_numerics::product::{Matrix, MatrixMut};
-use ndarray::{Array1, Array2, Axis, s};
+use ndarray::{Array1, Array2, ArrayViewMut1, Axis, s};
 use rayon::prelude::*;
 
-/// Rows of a product in one task. Only the lower triangle is needed: a strip of this many rows
-/// computes half a square of them in excess.
-const STRIP: usize = 48;
+/// Fewest and most rows of a product in one task, a strip, of which there are some [`STRIPS`]. Only
+/// the lower triangle is needed: a strip computes half a square of its rows in excess; and it
+/// arranges all columns before it in memory again, a third of the time for strips of 48 of 2,500.
+const STRIP: [usize; 2] = [48, 192];
+/// Strips of a product.
+const STRIPS: usize = 16;
 /// Share of a nuisance row's squared norm, after the rows before it were projected out, below which
 /// it is a copy of them: rounding of sums over 10⁴ pixels.
 const DEGENERATE_SHARE: f64 = 1e-13;
@@ -115,7 +118,9 @@ fn derivatives(
     rows: std::ops::Range<usize>,
 ) -> Array2<f64> {
     let (m, modes) = (linear.pixels(), linear.unknowns());
-    let mut tile = Array2::ones((modes + further.len() + nuisances.count(), rows.len() * m));
+    // New pages, which the threads that write them take: one thread alone takes as long for these
+    // as for a product.
+    let mut tile = Array2::zeros((modes + further.len() + nuisances.count(), rows.len() * m));
     linear.derivatives(rows.clone(), tile.slice_mut(s![..modes, ..]));
     for (column, mut row) in further.iter().zip(tile.slice_mut(s![modes.., ..]).outer_iter_mut()) {
         row.assign(&column.slice(s![rows.start * m..rows.end * m]));
@@ -124,6 +129,8 @@ fn derivatives(
     if nuisances != Nuisances::None {
         let psf = &linear.psf()[rows.start * m..rows.end * m];
         tile.row_mut(modes).iter_mut().zip(psf).for_each(|(value, h)| *value = *h);
+        // The background, where it is fitted.
+        tile.slice_mut(s![modes + 1.., ..]).fill(1.0);
     }
     tile
 }
@@ -164,18 +171,27 @@ fn roots(weight: &[f64], first: usize, count: usize) -> Vec<f64> {
 fn add_gram(a: &Array2<f64>, product: &mut Array2<f64>) {
     let (rows, columns) = a.dim();
     let (Some(a), Some(product)) = (a.as_slice(), product.as_slice_mut()) else { return };
-    product.par_chunks_mut(STRIP * rows).enumerate().for_each(|(strip, out)| {
-        let (first, count) = (strip * STRIP, out.len() / rows);
+    let height = rows.div_ceil(STRIPS).clamp(STRIP[0], STRIP[1]);
+    product.par_chunks_mut(height * rows).enumerate().for_each(|(strip, out)| {
+        let (first, count) = (strip * height, out.len() / rows);
         let all = Matrix::from_rows(&a[..(first + count) * columns], first + count, columns);
         let (mut out, _) = MatrixMut::from_rows(out, count, rows).split_at_column(first + count);
         out.add_product(1.0, all.part(first..first + count, 0..columns), all.transpose());
     });
 }
 
+/// Copies the lower triangle to the upper one, a block at a time, because a column of a large
+/// matrix is in as many pages.
 fn mirror(matrix: &mut Array2<f64>) {
-    for i in 0..matrix.nrows() {
-        for j in 0..i {
-            matrix[[j, i]] = matrix[[i, j]];
+    const BLOCK: usize = 32;
+    let rows = matrix.nrows();
+    for first in (0..rows).step_by(BLOCK) {
+        for left in (0..=first).step_by(BLOCK) {
+            for i in first..rows.min(first + BLOCK) {
+                for j in left..i.min(left + BLOCK) {
+                    matrix[[j, i]] = matrix[[i, j]];
+                }
+            }
         }
     }
 }
@@ -190,16 +206,21 @@ pub(in crate::modal) struct NuisanceShares {
 impl NuisanceShares {
     /// From `products` with the weights of the fit, whose last rows are the nuisances.
     pub(in crate::modal) fn new(products: &Array2<f64>, nuisances: Nuisances) -> Self {
-        let (mut rest, modes) = (products.clone(), products.nrows() - nuisances.count());
+        let modes = products.nrows() - nuisances.count();
+        // Rows of the nuisances, less those before them.
+        let mut rest = products.slice(s![modes.., ..]).to_owned();
         let mut shares = Vec::new();
         for k in modes..products.nrows() {
-            let pivot = rest[[k, k]];
+            let row = rest.row(k - modes).to_owned();
+            let pivot = row[k];
             let share: Vec<f64> = if pivot > DEGENERATE_SHARE * products[[k, k]] {
-                rest.column(k).iter().enumerate().map(|(i, v)| if i == k { 0.0 } else { v / pivot }).collect()
+                row.iter().enumerate().map(|(i, v)| if i == k { 0.0 } else { v / pivot }).collect()
             } else {
                 vec![0.0; products.nrows()]
             };
-            subtract_row(&mut rest, k, &share);
+            for (other, mut line) in (modes..).zip(rest.outer_iter_mut()) {
+                add_shares(&mut line, [other, k], &share, &row);
+            }
             shares.push(share);
         }
         Self { shares, modes }
@@ -217,13 +238,18 @@ impl NuisanceShares {
 /// row_i ← row_i − share_i·row_k, on both sides of the product.
 fn subtract_row(products: &mut Array2<f64>, k: usize, share: &[f64]) {
     let row = products.row(k).to_owned();
+    products.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(i, mut line)| {
+        add_shares(&mut line, [i, k], share, &row);
+    });
+}
+
+/// The part of [`subtract_row`] in row `i`, where `row` is that of `k`.
+fn add_shares(line: &mut ArrayViewMut1<f64>, [i, k]: [usize; 2], share: &[f64], row: &Array1<f64>) {
     let own = row[k];
-    for (i, mut line) in products.outer_iter_mut().enumerate() {
-        for (j, value) in line.iter_mut().enumerate() {
-            // The same expression for [i, j] and [j, i], so that the matrix stays symmetric to the
-            // last bit.
-            *value += share[i] * share[j] * own - (share[i] * row[j] + share[j] * row[i]);
-        }
+    for ((value, share_of), row_of) in line.iter_mut().zip(share).zip(row) {
+        // The same expression for [i, j] and [j, i], so that the matrix stays symmetric to the last
+        // bit.
+        *value += share[i] * share_of * own - (share[i] * row_of + share_of * row[i]);
     }
 }
 
