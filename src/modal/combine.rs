@@ -226,8 +226,12 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let is_sequence = is_sequence(&fitted_reports);
     let fits = Fits { fitter, prepared, minima, reports: &reports };
     let fitted_nm = coefficients_nm.select(Axis(0), indices);
-    let Combined { fitted_nm, used, clipped, agreement, mut single, fisher } =
-        if is_sequence { fits.sequence(fitted_nm, is_tested)? } else { fits.few_images(fitted_nm, is_tested)? };
+    let left_out_of_modes = fitter.left_out()?;
+    let Combined { fitted_nm, used, clipped, agreement, mut single, fisher, equations } = if is_sequence {
+        fits.sequence(fitted_nm, is_tested)?
+    } else {
+        fits.few_images(fitted_nm, is_tested, left_out_of_modes)?
+    };
     for ((row_nm, &image), minimum) in fitted_nm.outer_iter().zip(indices.iter()).zip(minima.iter_mut()) {
         minimum.coefficients_nm = row_nm.to_vec();
         coefficients_nm.row_mut(image).assign(&row_nm);
@@ -245,12 +249,18 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
     let centre_nm = centre(motions, &fitted_nm.select(Axis(0), &used), how);
     let mut likelihood = CombinedModes { coefficients_nm: centre_nm, covariance_nm2 };
     let (mut combined, mut left_out, mut left_out_equations, mut by_modes) = (likelihood.clone(), None, None, None);
-    if let Some(modes) = fitter.left_out()? {
-        let fits: Vec<_> = used.iter().map(|&image| (&prepared[image], &minima[image])).collect();
+    let degeneracy = || Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW);
+    let mut weak = None;
+    if let Some(modes) = left_out_of_modes {
+        let fits = || used.iter().map(|&image| (&prepared[image], &minima[image])).collect::<Vec<_>>();
+        let equations = equations.map_or_else(|| modes.normal_equations(model, &fits()), Ok)?;
         let noise_nm2 = &single.noise_nm2 * shrinkage + &single.shared_nm2;
         let mean_chi2 = if used.len() > 1 { mean_residual_chi2 } else { 1.0 };
-        let (found, alone, equations) =
-            modes.marginalised((model, motions), (&fits, mean_chi2), &likelihood, &noise_nm2)?;
+        // Both have parts of one thread.
+        let marginalised = || modes.marginalised(motions, (equations, mean_chi2), &likelihood, &noise_nm2);
+        let (found, of_modes) = rayon::join(marginalised, degeneracy);
+        weak = Some(of_modes?);
+        let (found, alone, equations) = found?;
         (combined, likelihood, left_out_equations) = (found.modes.clone(), alone, Some(equations));
         for (&place, explained) in used.iter().zip(&found.explained_chi2) {
             let chi2 = &mut minima[place].chi2;
@@ -278,7 +288,7 @@ pub(super) fn combine(fitter: &ModalFitter, mut fitted: FittedCube, is_tested: b
         mean_residual_chi2,
         agreement: agreement.of_images(indices),
         compared: fitted_image(fitter, &minima[first], &prepared[first]),
-        degeneracy: Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW)?,
+        degeneracy: weak.map_or_else(degeneracy, Ok)?,
         images,
         image_coefficients_nm: coefficients_nm,
         likelihood,

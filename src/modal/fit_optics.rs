@@ -44,9 +44,14 @@ pub(super) fn fitter(
     control: &Control,
 ) -> Result<ModalFitter> {
     let cache = ModelCache::default();
-    let (search, own) = ParameterSearch::new(scene, recipe, &cache, cube, native, control)?;
+    let (mut search, own) = ParameterSearch::new(scene, recipe, &cache, cube, native, control)?;
     let first = search.iterate(&own)?;
-    Ok(search.run(&own, (own.clone(), first))?.0)
+    let (mut values, mut last) = search.minimum((own.clone(), first))?;
+    if search.take_more(&cube) {
+        let first = search.iterate(&values)?;
+        (values, last) = search.minimum((values, first))?;
+    }
+    search.fitter_at(&own, &values, &last)
 }
 
 /// Least part of χ² beyond 1 that the start and the step from it must be expected to remove for a

@@ -36,7 +36,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use whole::WholeBasis;
 
-pub(in crate::modal) use equations::OwnEquations;
+pub(in crate::modal) use equations::{NormalEquations, OwnEquations};
 pub(in crate::modal) use groups::{Group, priors};
 pub use result::ModelError;
 pub(crate) use result::{SharedFigure, WithLeftOut};

@@ -81,6 +81,11 @@ impl ImageCovariances {
         Ok(Self { place: places, matrices })
     }
 
+    /// The matrices of one image, whose Fisher matrix and covariance from the noise are these.
+    pub(in crate::modal) fn of_one(fitter: &ModalFitter, (fisher, noise_nm2): (Array2<f64>, Array2<f64>)) -> Self {
+        Self { place: vec![0], matrices: vec![(fisher, fitter.motions.removed_from(&noise_nm2))] }
+    }
+
     /// The Fisher matrix of an image, per nm².
     pub(in crate::modal) fn fisher(&self, image: usize) -> &Array2<f64> {
         &self.matrices[self.place[image]].0

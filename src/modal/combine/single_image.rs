@@ -8,6 +8,7 @@ use crate::modal::combine::agreement::{Agreement, TestedImages, Verdict, Whiteni
 use crate::modal::combine::global_motions::GlobalMotions;
 use crate::modal::combine::sequence::{SEQUENCE, location, scatter};
 use crate::modal::fitter::ModalFitter;
+use crate::modal::left_out::{LeftOut, NormalEquations};
 use crate::modal::prepare::PreparedFrame;
 use crate::modal::solve::minimum::Minimum;
 use crate::scene::Combine;
@@ -45,6 +46,8 @@ pub(super) struct Combined {
     pub(super) single: SingleImage,
     /// Per nm².
     pub(super) fisher: Array2<f64>,
+    /// Normal equations with what is left out, where one image is all there is.
+    pub(super) equations: Option<NormalEquations>,
 }
 
 impl Fits<'_> {
@@ -89,15 +92,20 @@ impl Fits<'_> {
         }
         let scatter_nm2 = fitter.motions.removed_from(&scatter(&fitted_nm.select(Axis(0), &used), how, &noise_nm2));
         let single = SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 };
-        Ok(Combined { fitted_nm, used, clipped, agreement, single, fisher })
+        Ok(Combined { fitted_nm, used, clipped, agreement, single, fisher, equations: None })
     }
 
     /// Up to seven images that converged. The covariance of one is the mean over the used images of
     /// that from the noise, scaled by χ² where the model misfits; from four images on that of their
     /// scatter where it is larger (a static wavefront under a changing one scatters more than its
     /// noise); where they are not of one wavefront it is scaled by the reduced χ² of their
-    /// differences.
-    pub(super) fn few_images(&self, mut fitted_nm: Array2<f64>, is_tested: bool) -> Result<Combined> {
+    /// differences. The equations with what is `left_out` have the Fisher matrix of an only image.
+    pub(super) fn few_images(
+        &self,
+        mut fitted_nm: Array2<f64>,
+        is_tested: bool,
+        left_out: Option<&LeftOut>,
+    ) -> Result<Combined> {
         let fitter = self.fitter;
         let reports: Vec<&ImageReport> = self.reports.iter().collect();
         let Selection { mut used, mut clipped } = Selection::new(&reports, &fitted_nm, fitter.recipe.combine);
@@ -112,10 +120,18 @@ impl Fits<'_> {
         let mut fisher = None;
         let mut agreement = Agreement::untested();
         let is_tested = is_tested && used.len() > 1 && reports[used[0]].status.has_converged();
+        let only = left_out.filter(|_| used.len() == 1);
+        let only =
+            only.map(|of| of.normal_equations(&fitter.model, &[(&self.prepared[used[0]], &self.minima[used[0]])]));
+        let mut equations = only.transpose()?;
         // Where no fit converged there may be many images, and each keeps two matrices.
         for images in used.clone().chunks(SEQUENCE) {
-            let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
-            let covariances = ImageCovariances::new(fitter, images, self.prepared, self.minima, &variances)?;
+            let covariances = if let Some(own) = &mut equations {
+                ImageCovariances::of_one(fitter, own.of_modes(fitter.model.optics.modes())?)
+            } else {
+                let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
+                ImageCovariances::new(fitter, images, self.prepared, self.minima, &variances)?
+            };
             if is_tested {
                 let rows_nm = fitted_nm.select(Axis(0), images);
                 let tested = self.agreement_of_few(&covariances, images, rows_nm)?;
@@ -146,7 +162,7 @@ impl Fits<'_> {
         };
         let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;
         let single = SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 };
-        Ok(Combined { fitted_nm, used, clipped, agreement, single, fisher })
+        Ok(Combined { fitted_nm, used, clipped, agreement, single, fisher, equations })
     }
 
     /// Whether a few `images` with the modes `rows_nm` are of one wavefront, and their modes by the

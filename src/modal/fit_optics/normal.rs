@@ -5,7 +5,6 @@ use crate::imaging::Photometry;
 use crate::modal::assess::fisher::{Sensitivity, pseudo_inverse};
 use crate::modal::fitter::ModalFitter;
 use crate::modal::prepare::PreparedFrame;
-use crate::modal::solve::gauss_newton::{along, rows_of_tile};
 use crate::modal::solve::minimum::Minimum;
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -74,7 +73,7 @@ impl NormalEquations {
         derivatives: &[Array1<f64>],
     ) -> Result<()> {
         let at = ArrayView1::from(&minimum.coefficients_nm);
-        let linear = fitter.reference.linearise(at);
+        let mut linear = fitter.reference.linearise(at);
         let (exposure, flux_e) = (&image.exposure, minimum.flux_e);
         let weight = ArrayView1::from(&exposure.weight);
         let psf = ArrayView1::from(linear.psf());
@@ -90,7 +89,11 @@ impl NormalEquations {
         let weighted: Vec<Array1<f64>> = optics.iter().map(|optic| optic * &weight).collect();
         let tile_bytes = fitter.model.tiles().derivative_bytes;
         // Derivatives by the modes are those of the PSF, for a flux of 1.
-        let products = along(&linear, &weighted, rows_of_tile(linear.unknowns(), linear.pixels(), tile_bytes)) * flux_e;
+        let mut products = Array2::zeros((linear.unknowns(), weighted.len()));
+        for (weighted, mut column) in weighted.iter().zip(products.columns_mut()) {
+            let [of_modes, _] = linear.products(weighted.as_slice().unwrap_or_default());
+            column.assign(&(Array1::from(of_modes) * flux_e));
+        }
         let noise = (exposure.weight.as_slice(), None);
         let sensitivity = Sensitivity::at(&fitter.reference, at, flux_e, noise, exposure.photometry, tile_bytes);
         let moves = sensitivity.covariance()?.dot(&products);

@@ -19,9 +19,9 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array3, ArrayView1, Axis};
 use std::sync::{Arc, OnceLock};
 
-/// Images that are fitted: parameters that all images share have smaller error bars than the modes
-/// of each.
-const MAX_IMAGES: usize = 6;
+/// Most images by which a minimum is sought, and by which it is then found to its error bars:
+/// parameters that all images share have smaller ones than the modes of each.
+const MAX_IMAGES: [usize; 2] = [6, 48];
 /// Most iterations of fits and steps: they reach 12 % of plate scale and six degrees of rotation.
 const MAX_ITERATIONS: usize = 12;
 /// Converged where the last step is less than this fraction of the error bars.
@@ -77,9 +77,7 @@ impl ParameterSearch {
             let wavelengths = band::enough_beyond(&fixed)?;
             fixed = fixed.with(|sections| sections.estimate.wavelengths = Some(wavelengths))?;
         }
-        let count = cube.images_e.len_of(Axis(0));
-        let fitted = MAX_IMAGES.min(count);
-        let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
+        let (images_e, bad) = evenly_from(&cube, MAX_IMAGES[0]);
         let search = Self {
             scene: fixed,
             parameters,
@@ -89,12 +87,20 @@ impl ParameterSearch {
             native: native || numbers().any(|number| number.changes == Changes::Samples),
             scene_basis: cache.basis.clone(),
             modes: OnceLock::new(),
-            images_e: cube.images_e.select(Axis(0), &at),
-            bad: cube.bad.select(Axis(0), &at),
+            images_e,
+            bad,
             read_noise_e: cube.read_noise_e,
             control: control.silent(),
         };
         Ok((search, own))
+    }
+
+    /// Takes the images of `cube`, which is that of [`ParameterSearch::new`], by which error bars are
+    /// found; says whether these are more.
+    pub(super) fn take_more(&mut self, cube: &Cube) -> bool {
+        let before = self.images_e.len_of(Axis(0));
+        (self.images_e, self.bad) = evenly_from(cube, MAX_IMAGES[1]);
+        self.images_e.len_of(Axis(0)) > before
     }
 
     /// `elsewhere` with its iteration where it is farther from `start` than one step and χ² is
@@ -357,6 +363,14 @@ impl ParameterSearch {
         };
         perturbed.iter().zip(values.iter().zip(&self.steps)).map(derivative).collect()
     }
+}
+
+/// Up to `most` images of `cube`, evenly from all, and their bad pixels.
+fn evenly_from(cube: &Cube, most: usize) -> (Array3<f64>, Array3<bool>) {
+    let count = cube.images_e.len_of(Axis(0));
+    let fitted = most.min(count);
+    let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
+    (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at))
 }
 
 /// What a step of a parameter changes.

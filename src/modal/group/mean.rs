@@ -280,6 +280,7 @@ impl Sum {
             tilts: tilts.clone(),
             precision: Some(self.prior.precision_but(self.at.len(), tilts)),
             floor: self.floor,
+            inverse: None,
         };
         Step::new(&equations, &priors(&left_out.groups))
     }

@@ -193,6 +193,7 @@ impl GroupPosterior {
                 tilts: left_out.tilts(),
                 precision: Some(group.precision(&best.prior, left_out.tilts())),
                 floor: null_floor(all.score.len(), group.pixels()),
+                inverse: None,
             };
             let step = Step::new(&equations, &priors(groups))?;
             let (scores, explained_chi2) = all.explained(group, &step, left_out.tilts().len());

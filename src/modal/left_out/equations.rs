@@ -38,21 +38,20 @@ fn with_scatter(noise_nm2: Array2<f64>, scatter_nm2: &Array2<f64>) -> Result<Arr
 impl LeftOut {
     /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
     /// `mean_residual_chi2` is the reduced χ² of their mean residual, `likelihood` their
-    /// combination, and `noise_nm2` the part of its covariance that follows
-    /// from the images' noise. Behind them those that would be found if nothing had been left out,
+    /// combination, and `noise_nm2` the part of its covariance that follows from the images' noise;
+    /// `found` are their normal equations. Behind them those that would be found if nothing had been left out,
     /// with the error bars of what χ² is then, and the equations.
     ///
     /// # Errors
     /// [`Error::Internal`] for values that are not finite.
     pub(in crate::modal) fn marginalised(
         &self,
-        (model, motions): (&Model, &GlobalMotions),
-        (images, mean_residual_chi2): (&[(&PreparedFrame, &Minimum)], f64),
+        motions: &GlobalMotions,
+        (mut found, mean_residual_chi2): (NormalEquations, f64),
         likelihood: &CombinedModes,
         noise_nm2: &Array2<f64>,
     ) -> Result<(WithLeftOut, CombinedModes, OwnEquations)> {
-        let found = self.normal_equations(model, images)?;
-        let (information, pixels) = (found.information(), images[0].0.exposure.weight.len());
+        let (information, pixels, inverse) = (found.information(), found.pixels, found.inverse.take());
         let NormalEquations { images: scores, chi2, freedom, .. } = &found;
         // By the fitted modes it is what the tolerance of the fit, or its precision, left: without
         // it there would be a slope along combinations that change no image, figures of all
@@ -60,12 +59,21 @@ impl LeftOut {
         let score = scores.iter().fold(Array1::zeros(information.nrows()), |sum, own| sum + own);
         let at = Array1::from(likelihood.coefficients_nm.clone());
         let floor = null_floor(score.len(), pixels);
+        let inverse = inverse.filter(|_| self.tilts.is_empty());
         // Where variances are `scale` times those of the noise.
         let step_of = |scale: f64| -> Result<(Step, Vec<f64>)> {
             let scaled = (scale != 1.0).then(|| (&information / scale, &score / scale));
+            let inverse = inverse.as_ref().map(|inverse| inverse * scale);
             let (information, score) = scaled.as_ref().map_or((&information, &score), |(own, score)| (own, score));
-            let equations =
-                Equations { information, score, fitted: &at, tilts: self.tilts.clone(), precision: None, floor };
+            let equations = Equations {
+                information,
+                score,
+                fitted: &at,
+                tilts: self.tilts.clone(),
+                precision: None,
+                floor,
+                inverse,
+            };
             let step = Step::new(&equations, &priors(&self.groups))?;
             let left_out = step.with_prior_change.slice(s![self.tilts.len()..]);
             let change = concatenate(Axis(0), &[step.change.view(), left_out]).unwrap_or_default();
@@ -76,7 +84,7 @@ impl LeftOut {
         // what is common to all images explains as much as of all their residuals.
         let explained: f64 = explained_chi2.iter().sum();
         let mut scale = ((chi2 - explained) / *freedom).max(1.0);
-        let left_of_mean = mean_residual_chi2 - explained / freedom * images.len() as f64;
+        let left_of_mean = mean_residual_chi2 - explained / freedom * scores.len() as f64;
         if left_of_mean > EXPLAINED.max(scale) {
             scale = left_of_mean;
         }
@@ -140,7 +148,8 @@ impl LeftOut {
         }
         let freedom = images.iter().map(|(_, minimum)| minimum.chi2.freedom).sum();
         let chi2 = images.iter().map(|(_, minimum)| minimum.chi2.value * minimum.chi2.freedom).sum();
-        Ok(NormalEquations { shapes, kinds, square_snr, images: scores, chi2, freedom })
+        let pixels = images[0].0.exposure.weight.len();
+        Ok(NormalEquations { shapes, kinds, square_snr, images: scores, chi2, freedom, pixels, inverse: None })
     }
 
     /// Score of an image at its minimum, and its Gauss-Newton matrix over its squared S/N where it
@@ -223,9 +232,24 @@ pub(in crate::modal) struct NormalEquations {
     /// χ² of all, and its degrees of freedom.
     chi2: f64,
     freedom: f64,
+    /// Pixels of an image.
+    pixels: usize,
+    /// Pseudo-inverse of the part of the fitted modes, where it is known.
+    inverse: Option<Array2<f64>>,
 }
 
 impl NormalEquations {
+    /// The Fisher matrix of the fitted modes, per nm², and their covariance from the noise, nm².
+    ///
+    /// # Errors
+    /// [`Error::Value`] where no mode changes the images.
+    pub(in crate::modal) fn of_modes(&mut self, modes: usize) -> Result<(Array2<f64>, Array2<f64>)> {
+        let fisher = self.information().slice(s![..modes, ..modes]).to_owned();
+        let inverse = pseudo_inverse(&fisher, null_floor(self.images[0].len(), self.pixels))?;
+        self.inverse = Some(inverse.clone());
+        Ok((fisher, inverse))
+    }
+
     /// Gauss-Newton matrix of an image.
     pub(in crate::modal) fn information_of(&self, image: usize) -> Array2<f64> {
         &self.shapes[self.kinds[image]] * self.square_snr[image]

@@ -25,6 +25,8 @@ pub(in crate::modal) struct Equations<'a> {
     pub(in crate::modal) precision: Option<Array2<f64>>,
     /// See [`crate::modal::assess::fisher::null_floor`].
     pub(in crate::modal) floor: f64,
+    /// The pseudo-inverse of the part of the unknowns of the fit without `tilts`, where it is known.
+    pub(in crate::modal) inverse: Option<Array2<f64>>,
 }
 
 /// What a step finds.
@@ -59,7 +61,7 @@ impl Step {
             own += &sub_matrix(precision, &free, &free);
             slope -= &precision.dot(*fitted).select(Axis(0), &free);
         }
-        let inverse = pseudo_inverse(&own, equations.floor)?;
+        let inverse = equations.inverse.clone().map_or_else(|| pseudo_inverse(&own, equations.floor), Ok)?;
         // The matrices are symmetric.
         let cross = block(&with_prior, &free);
         let moves = times_transposed(cross.view(), inverse.view());
@@ -116,6 +118,7 @@ mod tests {
             tilts: 3..5,
             precision: Some(precision.clone()),
             floor: 1e-14,
+            inverse: None,
         };
         let group = |columns: Range<usize>, variance_nm2| CoefficientGroup {
             columns,

@@ -92,21 +92,6 @@ pub(in crate::modal) fn products(
     all
 }
 
-/// Jᵀ v: inner products of the derivatives by the modes with some `vectors` over the pixels,
-/// `[mode, vector]`. Computed in tiles of `tile` rows of pixels.
-pub(in crate::modal) fn along(linear: &LinearModel, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
-    let m = linear.pixels();
-    let mut all = Array2::zeros((linear.unknowns(), vectors.len()));
-    for first in (0..m).step_by(tile) {
-        let rows = first..m.min(first + tile);
-        let tile = derivatives(linear, &[], Nuisances::None, rows.clone());
-        for (vector, mut column) in vectors.iter().zip(all.columns_mut()) {
-            column += &tile.dot(&vector.slice(s![rows.start * m..rows.end * m]));
-        }
-    }
-    all
-}
-
 fn zeros(rows: usize, count: usize) -> Vec<Array2<f64>> {
     (0..count).map(|_| Array2::zeros((rows, rows))).collect()
 }

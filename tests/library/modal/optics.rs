@@ -129,6 +129,24 @@ fn defocus_is_fitted_only_without_a_focus_mode() {
     assert!(residual_nm[0] < 2.5 * promised_nm[0], "{residual_nm:?} {promised_nm:?}");
 }
 
+#[test]
+#[ignore = "merge: 4 s"]
+fn all_images_determine_the_optics() {
+    let made = scene(&[("image.samples_per_lambda_over_d", "3.006"), ("image.count", "24"), NOISE_ALONE]);
+    let asked = scene(&[("estimate.fit_optics", "[\"plate-scale\"]"), NOISE_ALONE]);
+    let images = source_images(&made).images_e;
+    let fitted = |count: usize| {
+        let images = images.slice(ndarray::s![..count, .., ..]).to_owned();
+        let (estimator, _) = estimate(&asked, &images, &images.mapv(|_| false));
+        let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
+        optic.clone()
+    };
+    let [few, all] = [6, 24].map(fitted);
+    // Of the same light, but for what noise does to an error bar.
+    assert!((all.sigma / few.sigma - 0.5).abs() < 0.02, "{few:?} {all:?}");
+    assert!((all.value - 3.006).abs() < 4.0 * all.sigma, "{all:?}");
+}
+
 /// What `scene` says of an image without anything.
 fn read_of(scene: &Scene) -> cophase::Result<()> {
     let images_e = Array3::from_elem((1, 132, 132), 100.0);

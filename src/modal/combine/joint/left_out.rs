@@ -119,6 +119,7 @@ impl<'a> WithStep<'a> {
             tilts: first.tilts(),
             precision: None,
             floor: null_floor(before + count, before + count),
+            inverse: None,
         };
         let step = Step::new(&equations, &priors(&groups))?;
         let left_out = step.with_prior_change.slice(s![first.tilts().len()..]);
