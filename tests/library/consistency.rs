@@ -224,23 +224,28 @@ fn pixels_with_an_area_are_modelled_as_the_scene_says() {
     let detector = [("image.pixel_fill", "1"), ("image.charge_diffusion_pixels", "0.3")];
     let area = scene(&detector);
     let images = simulated(&area);
-    let error = |scene: &Scene| {
-        let found = estimate(scene, &images);
+    let error_of = |scene: &Scene, images: &Images| {
+        let found = estimate(scene, images);
         let residual = found.truth.as_ref().unwrap().1.clone();
         let sigma_nm = [found.figures.phasing.sigma_nm, found.figures.ncpa.sigma_nm];
         println!("residual {:?} nm, error bars {sigma_nm:?} nm, χ² {:.3}", residual.rms_nm, found.reduced_chi2);
         (residual.rms_nm, sigma_nm, found)
     };
+    let error = |scene: &Scene| error_of(scene, &images);
     let (known_nm, sigma_nm, known) = error(&area);
     assert!(known.is_sound(), "{:?}", known.warnings);
     // A residual of ten modes or more within three error bars.
     assert!(known_nm[0] < 3.0 * sigma_nm[0] && known_nm[1] < 3.0 * sigma_nm[1]);
     // Taken for points: flagged, and wrong where error bars do not hold what the scene leaves out.
-    let (held_nm, held_sigma_nm, held) = error(&scene(&[]));
-    assert_eq!(held.status, Status::Misfit, "{:?}", held.warnings);
-    assert!((0..2).all(|part| held_nm[part] < 3.0 * held_sigma_nm[part]));
     let (points_nm, _, points) = error(&scene(&[("estimate.posterior", "false")]));
     assert!(points_nm[1] > 3.0 * known_nm[1] && points.status == Status::Misfit, "{:?}", points.warnings);
+    let (held_nm, _, held) = error(&scene(&[]));
+    assert_eq!(held.status, Status::Misfit, "{:?}", held.warnings);
+    assert!((0..2).all(|part| held_nm[part] < 0.5 * points_nm[part]));
+    // The step is linear: a blur of three times its tolerance is held, of seventeen times mended.
+    let gaps = simulated(&scene(&[("image.pixel_fill", "0.6")]));
+    let (held_nm, held_sigma_nm, _) = error_of(&scene(&[]), &gaps);
+    assert!((0..2).all(|part| held_nm[part] < 3.0 * held_sigma_nm[part]));
 }
 
 #[test]

@@ -15,9 +15,9 @@ use crate::modal::model::Model;
 use ndarray::{Array1, Array2};
 
 impl WholeWavefront {
-    /// Its modes without focus and astigmatisms of the whole pupil: without staircases in the segments,
-    /// and without the smooth ones in the NCPA; `None` where the segments of `model` have no tips
-    /// and tilts, fitted or left out, or there are no NCPA.
+    /// Its modes without focus and astigmatisms of the whole pupil: without staircases in the
+    /// segments, and without the smooth ones in the NCPA; `None` where the segments of `model` have
+    /// no tips and tilts, fitted or left out, or there are no NCPA.
     ///
     /// # Errors
     /// Those of [`ModeProjector::of_gram`].

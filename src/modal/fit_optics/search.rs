@@ -95,8 +95,8 @@ impl ParameterSearch {
         Ok((search, own))
     }
 
-    /// Takes the images of `cube`, which is that of [`ParameterSearch::new`], by which error bars are
-    /// found; says whether these are more.
+    /// Takes the images of `cube`, which is that of [`ParameterSearch::new`], by which error bars
+    /// are found; says whether these are more.
     pub(super) fn take_more(&mut self, cube: &Cube) -> bool {
         let before = self.images_e.len_of(Axis(0));
         (self.images_e, self.bad) = evenly_from(cube, MAX_IMAGES[1]);

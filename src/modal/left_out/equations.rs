@@ -36,11 +36,11 @@ fn with_scatter(noise_nm2: Array2<f64>, scatter_nm2: &Array2<f64>) -> Result<Arr
 }
 
 impl LeftOut {
-    /// The modes of images of one wavefront, whose fits ended in `minima`, with what was left out:
-    /// `mean_residual_chi2` is the reduced χ² of their mean residual, `likelihood` their
-    /// combination, and `noise_nm2` the part of its covariance that follows from the images' noise;
-    /// `found` are their normal equations. Behind them those that would be found if nothing had been left out,
-    /// with the error bars of what χ² is then, and the equations.
+    /// The modes of images of one wavefront, whose fits have the normal equations `found`, with
+    /// what was left out: `mean_residual_chi2` is the reduced χ² of their mean residual,
+    /// `likelihood` their combination, and `noise_nm2` the part of its covariance that follows from
+    /// the images' noise. Behind them those that would be found if nothing had been left out, with
+    /// the error bars of what χ² is then, and the equations.
     ///
     /// # Errors
     /// [`Error::Internal`] for values that are not finite.

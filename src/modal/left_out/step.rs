@@ -25,7 +25,8 @@ pub(in crate::modal) struct Equations<'a> {
     pub(in crate::modal) precision: Option<Array2<f64>>,
     /// See [`crate::modal::assess::fisher::null_floor`].
     pub(in crate::modal) floor: f64,
-    /// The pseudo-inverse of the part of the unknowns of the fit without `tilts`, where it is known.
+    /// The pseudo-inverse of the part of the unknowns of the fit without `tilts`, where it is
+    /// known.
     pub(in crate::modal) inverse: Option<Array2<f64>>,
 }
 
