@@ -15,7 +15,7 @@
 //! of its own: with pistons and tilts of the segments it is the same wavefront as a smooth NCPA,
 //! and a prior of tilts alone would take one for the other.
 
-mod camera;
+pub(crate) mod camera;
 mod equations;
 mod groups;
 mod result;

@@ -63,7 +63,7 @@ pub(crate) use group::sequence::Sequence;
 pub(crate) use group::stored::{GroupSeries, StoredGroup};
 pub(crate) use group::{GroupChannel, GroupEstimate, GroupSequence, Minima, Search, estimate_group};
 pub use left_out::ModelError;
-pub(crate) use left_out::{SharedFigure, WithLeftOut};
+pub(crate) use left_out::{SharedFigure, WithLeftOut, camera};
 pub use model::Model;
 pub use model::arrays::Arrays;
 pub use model::memory::{Memory, Tiles};

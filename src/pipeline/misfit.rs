@@ -348,6 +348,8 @@ mod tests {
         assert!(weak.contains("in some columns") && weak.contains("in that at -3 model pixels"), "{weak}");
         let halves = cause(|y, x| one(y, x) * if y >= 16 { 1.05 } else { 1.0 }).unwrap();
         assert!(halves.contains("in some rows"), "{halves}");
+        let quadrant = cause(|y, x| one(y, x) * if y >= 16 && x >= 16 { 1.05 } else { 1.0 }).unwrap();
+        assert!(quadrant.contains("a difference of gains"), "{quadrant}");
         let levels = cause(|y, x| one(y, x) + if x % 2 == 0 { 40.0 } else { 0.0 }).unwrap();
         assert!(levels.contains("a level of each column") && levels.contains("biases"), "{levels}");
         // The mean over nine neighbours.

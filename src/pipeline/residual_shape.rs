@@ -1,5 +1,5 @@
-//! Shape of the residual of an image: the part of its χ² that a copy of the star, the square of the
-//! signal or a blur explain.
+//! Shape of the residual of an image: the part of its χ² that a copy of the star, an error of the
+//! camera or lines of pixels explain.
 //!
 //! Each is a linear model of the residual, r = Σ cₖ·vₖ, fitted by least squares under the noise of
 //! the pixels. At the minimum of a fit the residual is orthogonal to the derivatives of the image
@@ -8,8 +8,9 @@
 //! over the excess of χ² beyond the degrees of freedom.
 
 use crate::linear_algebra::SpdInverse;
-use crate::modal::FittedImage;
+use crate::modal::{FittedImage, camera};
 use ndarray::{Array1, Array2, Axis, concatenate};
+use std::ops::Range;
 
 /// Least separation of a second star, model pixels: closer ones look like aberrations.
 const LEAST_SEPARATION: usize = 3;
@@ -28,8 +29,12 @@ pub(super) enum ShapeKind {
     Companion,
     /// The square of the signal: its part at the brightest pixel.
     NonLinearity,
-    /// Second derivatives: RMS of the blur, detector pixels.
+    /// Second derivatives: RMS of the blur along an axis, detector pixels.
     Blur,
+    /// Light spread far: its part of the star's.
+    Halo,
+    /// Gains of halves and quadrants: the largest difference.
+    Gain,
     /// A response of each column or row of its own: RMS of it.
     Response,
     /// A level of each column or row of its own: its RMS, electrons.
@@ -47,6 +52,47 @@ pub(super) struct Shape {
     /// What was found, in the unit of its kind.
     pub(super) value: f64,
     pub(super) sentence: String,
+}
+
+/// The value of an error of the camera with these coefficients, and the end of the sentence that
+/// names it; `None` where there is no such error.
+fn sentence_of_camera(kind: ShapeKind, found: &[f64]) -> Option<(f64, String)> {
+    match kind {
+        ShapeKind::NonLinearity => {
+            let percent = -100.0 * found[0];
+            let text = format!(
+                "follows the square of the signal, {percent:+.1} % at the brightest pixel: a non-linear detector; correct the images \
+                 for it, or expose for a shorter time"
+            );
+            Some((percent / 100.0, text))
+        }
+        ShapeKind::Blur => (found[0] > 0.0).then(|| {
+            let pixels = found[0].sqrt();
+            let text = format!(
+                "is a blur of {pixels:.2} pixels RMS that the model lacks: the area of the pixels (image.pixel_fill), diffusion of charge \
+                 (image.charge_diffusion_pixels), a filter (image.bandwidth_fraction), or motion of the image"
+            );
+            (pixels, text)
+        }),
+        ShapeKind::Halo => (found[0] > 0.0).then(|| {
+            let (percent, pixels) = (100.0 * found[0], camera::HALO_PIXELS);
+            let text = format!(
+                "is a halo, {percent:.1} % of the star's light spread over some {pixels} pixels: scattered light; \
+                 tolerance.halo_fraction holds it in the error bars"
+            );
+            (found[0], text)
+        }),
+        ShapeKind::Gain => {
+            let percent = found.iter().map(|gain| 100.0 * gain).collect::<Vec<_>>();
+            let text = format!(
+                "is a difference of gains: the half at +x has {:+.1} %, that at +y {:+.1} % and the quadrants at +x, +y and −x, −y {:+.1} % \
+                 more than the others; correct the images by a flat field",
+                percent[0], percent[1], percent[2]
+            );
+            Some((found.iter().fold(0.0, |most: f64, gain| most.max(gain.abs())), text))
+        }
+        ShapeKind::Companion | ShapeKind::Response | ShapeKind::Level => None,
+    }
 }
 
 /// Lines of pixels that hold this part of what all explain are named.
@@ -162,8 +208,8 @@ impl Residual {
     pub(super) fn shapes(&self) -> Vec<Shape> {
         let clearer = |of: [Option<Shape>; 2]| of.into_iter().flatten().max_by(|a, b| a.share.total_cmp(&b.share));
         let of_lines = [[0, 1].map(|axis| self.responses_along(axis)), [0, 1].map(|axis| self.levels_along(axis))];
-        let others = [self.copy_of_star(), self.square_of_signal(), self.blur()];
-        others.into_iter().flatten().chain(of_lines.into_iter().filter_map(clearer)).collect()
+        let of_lines = of_lines.into_iter().filter_map(clearer);
+        self.copy_of_star().into_iter().chain(self.of_camera()).chain(of_lines).collect()
     }
 
     /// A response of its own of each column (0) or row (1): a column that is weak or dead, or gains
@@ -240,66 +286,45 @@ impl Residual {
 
     /// Coefficients of `columns` by least squares, and the share that they explain; `None` where
     /// they are linearly dependent.
-    fn fit<const N: usize>(&self, columns: [Array2<f64>; N]) -> Option<([f64; N], f64)> {
-        let columns = columns.map(|column| self.without_modes(&column));
+    fn fit(&self, columns: &[Array2<f64>]) -> Option<(Vec<f64>, f64)> {
+        let columns: Vec<Array2<f64>> = columns.iter().map(|column| self.without_modes(column)).collect();
+        let count = columns.len();
         let product = |a: &Array2<f64>, b: &Array2<f64>| {
             a.iter().zip(b).zip(&self.weight).map(|((a, b), weight)| weight * a * b).sum::<f64>()
         };
         // Columns of unit length, so that their units do not matter.
-        let lengths = columns.each_ref().map(|column| product(column, column).sqrt());
-        let normal =
-            Array2::from_shape_fn((N, N), |(i, j)| product(&columns[i], &columns[j]) / (lengths[i] * lengths[j]));
-        let right = Array1::from_shape_fn(N, |k| product(&columns[k], &self.residual_e) / lengths[k]);
+        let lengths: Vec<f64> = columns.iter().map(|column| product(column, column).sqrt()).collect();
+        let cosine = |(i, j): (usize, usize)| product(&columns[i], &columns[j]) / (lengths[i] * lengths[j]);
+        let normal = Array2::from_shape_fn((count, count), cosine);
+        let right = Array1::from_shape_fn(count, |k| product(&columns[k], &self.residual_e) / lengths[k]);
         let solution = SpdInverse::new(&normal).ok()?.inverse.dot(&right);
-        let share = (solution.dot(&right) - N as f64) / self.excess;
-        Some((std::array::from_fn(|k| solution[k] / lengths[k]), share))
+        let share = (solution.dot(&right) - count as f64) / self.excess;
+        Some((solution.iter().zip(&lengths).map(|(value, length)| value / length).collect(), share))
     }
 
-    /// The square of the signal: a non-linear detector.
-    fn square_of_signal(&self) -> Option<Shape> {
-        let peak_e = self.star_e.iter().copied().fold(0.0, f64::max);
-        let (coefficients, share) = self.fit([self.star_e.mapv(|electrons| (electrons / peak_e).powi(2))])?;
-        let percent = 100.0 * coefficients[0] / peak_e;
-        Some(Shape {
-            kind: ShapeKind::NonLinearity,
-            decrease: self.decrease(share, 1),
-            parameters: 1,
-            value: percent / 100.0,
-            share,
-            sentence: format!(
-                "{:.0} % of it follows the square of the signal, {percent:+.1} % at the brightest pixel: a non-linear detector; \
-                 correct the images for it, or expose for a shorter time",
-                100.0 * share
-            ),
-        })
-    }
-
-    /// Second derivatives of the image: a blur that the model lacks.
-    fn blur(&self) -> Option<Shape> {
-        let (rows, columns) = self.star_e.dim();
-        let second = |dy: usize, dx: usize| {
-            Array2::from_shape_fn((rows, columns), |(y, x)| {
-                let inside = (dy..rows - dy).contains(&y) && (dx..columns - dx).contains(&x);
-                let at = |y: usize, x: usize| self.star_e[[y, x]];
-                if inside { at(y + dy, x + dx) - 2.0 * at(y, x) + at(y - dy, x - dx) } else { 0.0 }
-            })
+    /// Errors of the camera that are no errors of its scale, which a fit of the plate scale finds.
+    fn of_camera(&self) -> Vec<Shape> {
+        let star: Vec<f64> = self.star_e.iter().copied().collect();
+        let all = camera::columns(&star, self.star_e.nrows(), self.native);
+        let all = all.map(|column| {
+            let mut map = Array2::zeros(self.star_e.dim());
+            map.iter_mut().zip(column).for_each(|(to, value)| *to = value);
+            map
+        });
+        let of = |kind: ShapeKind, places: Range<usize>| {
+            let (found, share) = self.fit(&all[places.clone()])?;
+            let (value, what) = sentence_of_camera(kind, &found)?;
+            let sentence = format!("{:.0} % of it {what}", 100.0 * share);
+            let parameters = places.len();
+            Some(Shape { kind, share, decrease: self.decrease(share, parameters), parameters, value, sentence })
         };
-        let (coefficients, share) = self.fit([second(0, 1), second(1, 0)])?;
-        // A blur of variance s² along an axis adds half of it times the second derivative.
-        let variance = coefficients.iter().sum::<f64>();
-        (variance > 0.0).then(|| Shape {
-            kind: ShapeKind::Blur,
-            decrease: self.decrease(share, 2),
-            parameters: 2,
-            value: variance.sqrt() * self.native,
-            share,
-            sentence: format!(
-                "{:.0} % of it is a blur of {:.2} pixels RMS that the model lacks: the area of the pixels (image.pixel_fill), diffusion \
-                 of charge (image.charge_diffusion_pixels), a filter (image.bandwidth_fraction), or motion of the image",
-                100.0 * share,
-                variance.sqrt() * self.native
-            ),
-        })
+        let kinds = [
+            (ShapeKind::NonLinearity, camera::RESPONSE),
+            (ShapeKind::Blur, camera::BLUR),
+            (ShapeKind::Halo, camera::HALO),
+            (ShapeKind::Gain, camera::GAINS),
+        ];
+        kinds.into_iter().filter_map(|(kind, places)| of(kind, places)).collect()
     }
 
     /// A copy of the star elsewhere: a second star.
@@ -327,8 +352,8 @@ impl Residual {
             best_first(&mut places, 1);
         }
         let fitted = places.into_iter().filter_map(|(dy, dx)| {
-            let ([contrast], share) = self.fit([self.star_at(dy, dx)])?;
-            (contrast > 0.0).then_some((share, contrast, dy, dx))
+            let (found, share) = self.fit(&[self.star_at(dy, dx)])?;
+            (found[0] > 0.0).then_some((share, found[0], dy, dx))
         });
         let (share, contrast, dy, dx) = fitted.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (x, y) = (dx as f64 * self.native, dy as f64 * self.native);

@@ -216,6 +216,36 @@ fn saturated_pixels_are_named() {
     assert_eq!(desk.run(&check("clipped.fits", &["--before", "images.fits"])).status, 2);
 }
 
+/// Errors of the camera that error bars hold: one quadrant has a gain of its own, and light is
+/// spread far from the star.
+#[test]
+#[ignore = "merge: 10 s"]
+fn gains_and_halos_are_named() {
+    let desk = desk(&[]);
+    desk.edit_images("images.fits", "gains.fits", |images| {
+        let (_, rows, columns) = images.dim();
+        images.slice_mut(ndarray::s![.., rows / 2.., columns / 2..]).mapv_inplace(|electrons| 1.03 * electrons);
+    });
+    let json = desk.json(&check("gains.fits", &["--json"]));
+    assert_eq!(json["cause"], "gains of halves and quadrants", "{json}");
+    // A quadrant is a half of each of three.
+    let found = finding(&json, "gains of halves and quadrants")["found"].as_f64().unwrap();
+    assert!((found - 0.015).abs() < 0.002, "{json}");
+    desk.edit_images("images.fits", "halo.fits", |images| {
+        // The light of each pixel about it.
+        let star = images.clone();
+        let near = |dy: f64, dx: f64| (-dy.hypot(dx) / 10.0).exp() / (2.0 * std::f64::consts::PI * 100.0);
+        for ((image, y, x), electrons) in images.indexed_iter_mut() {
+            let of = |((from, v, u), e): ((usize, usize, usize), &f64)| {
+                if from == image { e * near(y as f64 - v as f64, x as f64 - u as f64) } else { 0.0 }
+            };
+            *electrons += 0.03 * (star.indexed_iter().map(of).sum::<f64>() - *electrons);
+        }
+    });
+    let json = desk.json(&check("halo.fits", &["--json"]));
+    assert_eq!(json["cause"], "halo", "{json}");
+}
+
 #[test]
 #[ignore = "merge: 10 s"]
 fn an_image_in_focus_where_the_scene_has_a_defocus_is_named() {

@@ -1,5 +1,6 @@
 //! Checks: one planted fault each. Is the right cause named first, and nothing where there is none?
 
+use super::faults::halo;
 use super::hard_cases::{Spoil, flipped, made};
 use super::{Cell, KeptDraw, Progress, Report, Table, to_cells, to_numbers};
 use cophase::pipeline::{Check, CheckedQuantity, Control, Images, Poke, check};
@@ -7,7 +8,7 @@ use cophase::scene::{Optic, Scene};
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
-use ndarray::{Array3, Axis};
+use ndarray::{Array3, Axis, s};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -29,6 +30,12 @@ enum Planted {
     Saturation,
     /// A companion of 2 to 10 %, 12 to 30 pixels away.
     Companion,
+    /// A response that is 2 to 10 % low at the peak.
+    Response,
+    /// A halo of 10 pixels with 1 to 5 % of the light.
+    Halo,
+    /// A quadrant whose gain is 1 to 5 % larger.
+    Gain,
     /// One of seven wrong orientations, with a poke.
     Orientation,
     /// The opposite sign of the defocus, with a poke.
@@ -45,7 +52,7 @@ pub struct CheckRow {
 }
 
 /// All rows.
-pub const CHECK_ROWS: [CheckRow; 9] = [
+pub const CHECK_ROWS: [CheckRow; 12] = [
     CheckRow { name: "clean", planted: Planted::Nothing, right: &[] },
     CheckRow {
         name: "plate scale 0.5 to 3 %",
@@ -69,6 +76,9 @@ pub const CHECK_ROWS: [CheckRow; 9] = [
     },
     CheckRow { name: "saturation", planted: Planted::Saturation, right: &[CheckedQuantity::Saturation] },
     CheckRow { name: "companion 2 to 10 %", planted: Planted::Companion, right: &[CheckedQuantity::Companion] },
+    CheckRow { name: "response 2 to 10 % low", planted: Planted::Response, right: &[CheckedQuantity::NonLinearity] },
+    CheckRow { name: "halo of 1 to 5 %", planted: Planted::Halo, right: &[CheckedQuantity::Halo] },
+    CheckRow { name: "gain of a quadrant 1 to 5 %", planted: Planted::Gain, right: &[CheckedQuantity::Gains] },
     CheckRow { name: "orientation, poke", planted: Planted::Orientation, right: &[CheckedQuantity::Orientation] },
     CheckRow { name: "defocus sign, poke", planted: Planted::DefocusSign, right: &[CheckedQuantity::DefocusSign] },
 ];
@@ -206,6 +216,24 @@ fn draw(base: &Scene, row: &CheckRow, seed: u64) -> Result<CheckDraw> {
             let (sin, cos) = (std::f64::consts::TAU * uniform(seed, 2)).sin_cos();
             let far = 12.0 + 18.0 * uniform(seed, 3);
             (share, image(&[], Spoil::Companion { share, pixels: [far * cos, far * sin] })?)
+        }
+        Planted::Response => {
+            let share = between(0.02, 0.1);
+            (share, image(&[], Spoil::NonLinear(share))?)
+        }
+        Planted::Halo => {
+            let (share, mut images) = (between(0.01, 0.05), image(&[], Spoil::None)?);
+            for mut frame_e in images.images_e.outer_iter_mut() {
+                let with_halo = halo(&frame_e.to_owned(), share, 10.0);
+                frame_e.assign(&with_halo);
+            }
+            (share, images)
+        }
+        Planted::Gain => {
+            let (share, mut images) = (between(0.01, 0.05), image(&[], Spoil::None)?);
+            let (_, rows, columns) = images.images_e.dim();
+            images.images_e.slice_mut(s![.., rows / 2.., columns / 2..]).mapv_inplace(|e| e * (1.0 + share));
+            (share, images)
         }
         Planted::Orientation => {
             let which = 1 + (seed as usize - 1) % 7;

@@ -11,6 +11,7 @@ use cophase::scene::Scene;
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Estimator, Images, Result};
+pub(super) use kinds::halo;
 use kinds::{Change, FAULTS, Fault};
 use ndarray::Array3;
 use rayon::prelude::*;

@@ -23,9 +23,15 @@ use cophase_numerics::fft::plan_both;
 use ndarray::Array1;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// Number of errors.
-pub(super) const ERRORS: usize = 12;
+pub(crate) const ERRORS: usize = 12;
+/// Gains of halves and quadrants, the response at the peak, a halo, a blur: places among them.
+pub(crate) const GAINS: Range<usize> = 4..7;
+pub(crate) const RESPONSE: Range<usize> = 7..8;
+pub(crate) const HALO: Range<usize> = 8..9;
+pub(crate) const BLUR: Range<usize> = 9..12;
 
 /// The errors, as the subjects of a sentence, each with its standard deviation before the images
 /// say more, in the order of [`columns`].
@@ -48,11 +54,11 @@ pub(super) fn errors(tolerance: &ToleranceScene) -> [(&'static str, f64); ERRORS
 }
 
 /// Scale length of the halo, pixels of the detector.
-const HALO_PIXELS: f64 = 10.0;
+pub(crate) const HALO_PIXELS: f64 = 10.0;
 
-/// Change of the PSF by each of the [`errors`]: `[error][pixel]`. The PSF has `size` pixels along a
-/// side, of `native` pixels of the detector.
-pub(super) fn columns(psf: &[f64], size: usize, native: f64) -> [Array1<f64>; ERRORS] {
+/// Change of the PSF, or of an image of a star without its background, by each of the [`errors`]:
+/// `[error][pixel]`. It has `size` pixels along a side, of `native` pixels of the detector.
+pub(crate) fn columns(psf: &[f64], size: usize, native: f64) -> [Array1<f64>; ERRORS] {
     let spectrum = Spectrum::new(psf, size);
     let [h_u, h_v] = [0, 1].map(|axis| spectrum.derivative(axis));
     let from_axis = |at: usize| at as f64 - (size / 2) as f64;

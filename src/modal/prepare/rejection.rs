@@ -86,22 +86,37 @@ pub(in crate::modal) fn weigh_dead(image: &mut PreparedFrame) -> bool {
         return false;
     }
     let (inner, mut has_dead) = (1..side - 1, false);
+    // Comparisons are vectorised, f64::min and max, which look for NaN, are not.
+    let lesser = |a: f64, b: f64| if a < b { a } else { b };
+    let greater = |a: f64, b: f64| if a > b { a } else { b };
     for row in inner.clone() {
         let [above, own, below] = [row - 1, row, row + 1].map(|row| &data_e[row * side..(row + 1) * side]);
         let floor_e2 = &floor_variance_e2[row * side..(row + 1) * side];
-        let around = |x: usize| own[x - 1].min(own[x + 1]).max(above[x].min(below[x])).max(0.0);
-        let is_dead = |x: usize| {
-            let below_e = around(x) - own[x];
-            below_e > 0.0 && below_e * below_e > LIMIT * LIMIT * (around(x) + floor_e2[x])
+        let around =
+            |[left, right, above, below]: [f64; 4]| greater(greater(lesser(left, right), lesser(above, below)), 0.0);
+        let is_dead = |own: f64, floor_e2: f64, neighbours: [f64; 4]| {
+            let around = around(neighbours);
+            let below_e = around - own;
+            (below_e > 0.0) & (below_e * below_e > LIMIT * LIMIT * (around + floor_e2))
         };
-        // A loop without an early exit is vectorised.
-        if !inner.clone().fold(false, |any, x| any | is_dead(x)) {
+        // A loop over slices of one length without an early exit is vectorised.
+        let count = inner.len();
+        let beside = [&own[..count], &own[2..], &above[1..=count], &below[1..=count]];
+        let (own, floor_e2) = (&own[1..=count], &floor_e2[1..=count]);
+        let mut any = false;
+        for x in 0..count {
+            any |= is_dead(own[x], floor_e2[x], beside.map(|line| line[x]));
+        }
+        if !any {
             continue;
         }
         has_dead = true;
-        for x in inner.clone().filter(|&x| is_dead(x)) {
-            let weight = &mut weight[row * side + x];
-            *weight = 1.0 / (1.0 / *weight - own[x].max(0.0) + around(x));
+        for x in 0..count {
+            let neighbours = beside.map(|line| line[x]);
+            if is_dead(own[x], floor_e2[x], neighbours) {
+                let weight = &mut weight[row * side + 1 + x];
+                *weight = 1.0 / (1.0 / *weight - own[x].max(0.0) + around(neighbours));
+            }
         }
     }
     has_dead

@@ -35,6 +35,10 @@ pub enum CheckedQuantity {
     NonLinearity,
     /// A blur that the model lacks.
     Blur,
+    /// Light spread far beyond the star.
+    Halo,
+    /// Gains of halves and quadrants of the detector.
+    Gains,
     /// Response of each column, or of each row: bad ones, gains of amplifiers.
     ResponseOfLines,
     /// Electrons of each column, or of each row: warm ones, biases of amplifiers.
@@ -67,6 +71,8 @@ impl CheckedQuantity {
             Self::Companion => "companion",
             Self::NonLinearity => "non-linearity",
             Self::Blur => "blur",
+            Self::Halo => "halo",
+            Self::Gains => "gains of halves and quadrants",
             Self::ResponseOfLines => "response of columns and rows",
             Self::LevelOfLines => "level of columns and rows",
             Self::Noise => "noise",

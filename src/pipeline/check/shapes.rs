@@ -15,6 +15,7 @@ pub(super) fn least(kind: ShapeKind) -> f64 {
         ShapeKind::Companion => 2e-3,
         ShapeKind::NonLinearity => 3e-3,
         ShapeKind::Blur => 0.2,
+        ShapeKind::Halo | ShapeKind::Gain => 3e-3,
         // Of hundreds of lines the smallest that is significant is larger.
         ShapeKind::Response | ShapeKind::Level => 0.0,
     }
@@ -26,6 +27,8 @@ pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
         ShapeKind::Companion => CheckedQuantity::Companion,
         ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
         ShapeKind::Blur => CheckedQuantity::Blur,
+        ShapeKind::Halo => CheckedQuantity::Halo,
+        ShapeKind::Gain => CheckedQuantity::Gains,
         ShapeKind::Response => CheckedQuantity::ResponseOfLines,
         ShapeKind::Level => CheckedQuantity::LevelOfLines,
     };
@@ -38,7 +41,7 @@ pub(super) fn finding(shape: &Shape, gain: f64, verdict: Verdict) -> Finding {
         }
     };
     // Of a linear coefficient, whose square over its variance is the decrease; many have none.
-    let is_one = !matches!(shape.kind, ShapeKind::Response | ShapeKind::Level);
+    let is_one = !matches!(shape.kind, ShapeKind::Response | ShapeKind::Level | ShapeKind::Gain);
     let sigma = if is_one { shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt() } else { f64::NAN };
     // Of a residual that has another cause the coefficient says nothing.
     let is_fault = verdict == Verdict::Fault;

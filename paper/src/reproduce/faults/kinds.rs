@@ -379,7 +379,7 @@ fn structured(frame: &mut Array2<f64>, rms: f64, width: f64, seed: u64) {
 }
 
 /// `share` of the light spread by exp(−r/length).
-fn halo(psf: &Array2<f64>, share: f64, length: f64) -> Array2<f64> {
+pub(in crate::reproduce) fn halo(psf: &Array2<f64>, share: f64, length: f64) -> Array2<f64> {
     filtered(psf, |x, y| (1.0 - share + share * (1.0 + (TAU * length).powi(2) * (x * x + y * y)).powf(-1.5)).into())
 }
 
