@@ -246,6 +246,13 @@ impl Parameter {
     }
 }
 
+impl Changes {
+    /// Whether the pupil has another geometry.
+    pub(crate) fn is_of_pupil(self) -> bool {
+        matches!(self, Self::Modes | Self::Light)
+    }
+}
+
 impl PartialEq for Parameter {
     fn eq(&self, other: &Self) -> bool {
         self.key == other.key

@@ -283,6 +283,11 @@ impl Telescope {
         }
     }
 
+    /// This with what `other`, whose pupil has the same geometry, has computed of it.
+    pub(crate) fn with_moments_of(self, other: &Self) -> Self {
+        Self { moments: other.moments.clone(), ..self }
+    }
+
     /// Means of r² and of r⁴ over the finest pupil, weighted by its amplitude, m² and m⁴. That
     /// pupil is drawn once: a search for the optics needs them several times for each trial.
     pub(super) fn moments(&self) -> Result<[f64; 2]> {

@@ -20,6 +20,13 @@ pub(in crate::modal) enum FittedParameter {
     Amplitude(usize),
 }
 
+impl FittedParameter {
+    /// Whether the pupil has another geometry where this changes.
+    pub(super) fn changes_pupil(self) -> bool {
+        matches!(self, Self::Number(_, number) if number.changes.is_of_pupil())
+    }
+}
+
 /// A parameter with its value in a scene, and the step for its derivative: about a twentieth of a
 /// pixel at the rim of a spot.
 #[derive(Debug, Clone, Copy)]

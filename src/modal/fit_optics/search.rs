@@ -321,7 +321,10 @@ impl ParameterSearch {
                 sections.image.crop_pixels = crop;
                 sections.estimate.samples = Some(samples);
             })?;
-            let telescope = telescope(&perturbed, &self.parameters, &values)?;
+            let mut telescope = telescope(&perturbed, &self.parameters, &values)?;
+            if !self.parameters[number].changes_pupil() {
+                telescope = telescope.with_moments_of(&fitter.model.telescope);
+            }
             let model = Model::with_modes(&perturbed, &self.recipe, self.native, telescope, modes.clone())?;
             if model.preparation != plan {
                 return Err(Error::Internal("models a step apart have other pixels".into()));
