@@ -41,6 +41,9 @@ pub(super) fn named<T>(name: Option<&str>, result: Result<T>) -> Result<T> {
 
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
+/// How often without a better minimum, where what the modes leave out explains both: it explains
+/// wrong whole wavelengths, too, which channels of several wavelengths may have.
+const VAIN_ROUNDS: [usize; 2] = [1, 3];
 
 /// Estimates the static wavefront behind the images of all `channels` of `scene`. The `series` are
 /// of the channels with diversity, in order: fits that they have are taken.
@@ -176,6 +179,9 @@ impl<'a> Channels<'a> {
         });
         let mut fits = each.collect::<Result<Vec<_>>>()?;
         let mut joint = self.combine(&fits)?;
+        let wavelengths_nm = || self.channels.iter().map(|channel| channel.scene.image.wavelength_nm);
+        let has_one = wavelengths_nm().all(|nm| Some(nm) == wavelengths_nm().next());
+        let mut vain = 0;
         for round in (1..=ROUNDS).filter(|_| self.policy.restart) {
             let is_explained = |fitted: &Fitted| *fitted.fit.1.status_by_modes() == Status::Ok;
             if !joint.is_contradictory_by_modes() && fits.iter().all(is_explained) {
@@ -183,8 +189,11 @@ impl<'a> Channels<'a> {
             }
             if self.improve(&mut fits, &joint, round)? {
                 joint = self.combine(&fits)?;
-            } else if !joint.is_contradictory() {
-                // An error that all minima have, and that what the modes leave out may explain.
+                continue;
+            }
+            vain += 1;
+            if !joint.is_contradictory() && vain >= VAIN_ROUNDS[usize::from(!has_one)] {
+                // An error that all minima have.
                 break;
             }
         }
